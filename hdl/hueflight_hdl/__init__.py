@@ -1,0 +1,1 @@
+"""Gateware of Hueflight: pulse generator, frame formatter, links, boards and builds."""

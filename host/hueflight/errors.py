@@ -1,0 +1,37 @@
+"""Expected failures of the host software, each a kind of `HueflightError`."""
+
+from hueflight_protocol.errors import HueflightError
+
+__all__ = [
+    "CalibrationError",
+    "HistogramError",
+    "HueflightError",
+    "InstrumentError",
+    "OverflowPolicyError",
+    "RecordingError",
+    "SceneError",
+]
+
+
+class InstrumentError(HueflightError):
+    """An instrument description that can't be read or contradicts itself."""
+
+
+class HistogramError(HueflightError):
+    """Counts whose shape, type or content does not fit the instrument."""
+
+
+class OverflowPolicyError(HistogramError):
+    """A counter was about to exceed its type under the policy `error`."""
+
+
+class CalibrationError(HueflightError):
+    """Captures that can't make a calibration, or a calibration used where it does not fit."""
+
+
+class RecordingError(HueflightError):
+    """A recording that can't be read, written or is not one."""
+
+
+class SceneError(HueflightError):
+    """A scene that does not exist or does not fit the instrument."""

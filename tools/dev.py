@@ -1,0 +1,109 @@
+#!/usr/bin/env python3
+"""Set up, demonstrate, test and benchmark Hueflight with nothing but Python 3.11.
+
+    python3 tools/dev.py demo            the simulated instrument, end to end, as a report
+    python3 tools/dev.py test [--full]   lint, types and tests; --full adds the slow ones
+    python3 tools/dev.py bench NAME      a benchmark of tools/bench
+    python3 tools/dev.py run ARG...      any command inside the environment
+
+Only the standard library is used here. The environment is made once in `.venv` and again
+only when pyproject.toml, constraints.txt, a C source or the Python version changes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
+STAMP = VENV / ".hueflight-setup"
+OLDEST_PYTHON = (3, 11)
+
+
+def recipe_digest() -> str:
+    """Digest of everything the environment is made from."""
+    digest = hashlib.sha256(sys.version.encode())
+    for path in (ROOT / "pyproject.toml", ROOT / "constraints.txt", ROOT / "setup.py"):
+        digest.update(path.read_bytes() if path.exists() else b"")
+    for source in sorted((ROOT / "host").rglob("*.[ch]")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def set_up() -> None:
+    """Make `.venv` with the project installed in place, unless it is there and current."""
+    if STAMP.exists() and STAMP.read_text() == recipe_digest():
+        return
+    print("Setting up .venv (once; about a minute) ...", flush=True)
+    if not (BIN / "python").exists():
+        shutil.rmtree(VENV, ignore_errors=True)
+        venv.create(VENV, with_pip=True)
+    pip = [str(BIN / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    constraints = ["-c", str(ROOT / "constraints.txt")]
+    run([*pip, *constraints, "-e", f"{ROOT}[dev]"])
+    STAMP.write_text(recipe_digest())
+
+
+def run(command: list[str]) -> None:
+    """Run a command in the project's root; a failure ends this program with its exit code."""
+    finished = subprocess.run(command, cwd=ROOT)
+    if finished.returncode:
+        print(f"failed ({finished.returncode}): {' '.join(command)}", file=sys.stderr)
+        raise SystemExit(finished.returncode)
+
+
+def demo(arguments: list[str]) -> None:
+    run([str(BIN / "hueflight"), "demo", *arguments])
+
+
+def test(arguments: list[str]) -> None:
+    """Lint, types, tests. Further words go to pytest (a path, -k ...)."""
+    full = "--full" in arguments or bool(os.environ.get("CI"))
+    chosen = [word for word in arguments if word != "--full"]
+    run([str(BIN / "ruff"), "check", "."])
+    run([str(BIN / "basedpyright"), "--level", "error"])
+    workers = ["-n", str(os.cpu_count() or 1), "--dist", "loadfile"]
+    run([str(BIN / "pytest"), *workers, *(["--full"] if full else []), *chosen])
+
+
+def bench(arguments: list[str]) -> None:
+    available = sorted(p.stem for p in (ROOT / "tools" / "bench").glob("*.py") if p.stem[0] != "_")
+    if not arguments or arguments[0] not in available:
+        raise SystemExit(f"which benchmark? one of: {', '.join(available) or 'none yet'}")
+    script = ROOT / "tools" / "bench" / f"{arguments[0]}.py"
+    run([str(BIN / "python"), str(script), *arguments[1:]])
+
+
+def run_inside(arguments: list[str]) -> None:
+    if not arguments:
+        raise SystemExit("run what? e.g. python3 tools/dev.py run hueflight --help")
+    own = BIN / arguments[0]
+    run([str(own) if own.exists() else arguments[0], *arguments[1:]])
+
+
+COMMANDS = {"demo": demo, "test": test, "bench": bench, "run": run_inside}
+
+
+def main() -> None:
+    if sys.version_info < OLDEST_PYTHON:
+        raise SystemExit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("command", choices=[*COMMANDS, "setup"])
+    arguments, rest = parser.parse_known_args()
+    set_up()
+    if arguments.command != "setup":
+        COMMANDS[arguments.command](rest)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,6 +7,7 @@ so that data of any other camera can be used by describing it.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import tomllib
 from importlib import resources
 from math import inf, isfinite
@@ -93,7 +94,7 @@ class Sensor(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
                 f"sensor.detection_wavelength_nm has {len(nodes)} entries but "
                 f"detection_probability has {len(table)}: give one for each"
             )
-        if any(b <= a for a, b in zip(nodes, nodes[1:], strict=False)):
+        if any(b <= a for a, b in itertools.pairwise(nodes)):
             raise InstrumentError(f"sensor.detection_wavelength_nm must rise; it is {nodes}")
         if any(not 0 <= p <= 1 for p in table):
             raise InstrumentError(f"sensor.detection_probability must lie in 0..1; it is {table}")
@@ -183,7 +184,9 @@ class Lens(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
         _positive("lens.focal_length_mm", self.focal_length_mm)
         _positive("lens.f_number", self.f_number)
         if not 0 < self.transmission <= 1:
-            raise InstrumentError(f"lens.transmission = {self.transmission!r}: must be in 0..1")
+            raise InstrumentError(
+                f"lens.transmission = {self.transmission!r}: must be above 0 and at most 1"
+            )
 
 
 class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -354,6 +357,25 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
             for delay in description.delays_ns
         )
 
+    def band_brightness(self) -> NDArray[np.float64]:
+        """Relative photon rate of each band from a white target, shape (band,), mean 1.
+
+        Optical power × wavelength (photons per joule) × detection probability where tabulated.
+        """
+        wavelength_nm = self.wavelengths_nm
+        rate = np.array([band.power_mw for band in self.bands]) * wavelength_nm
+        if self.sensor.detection_wavelength_nm:
+            rate = rate * np.interp(
+                wavelength_nm,
+                self.sensor.detection_wavelength_nm,
+                self.sensor.detection_probability,
+            )
+        if not rate.any():
+            raise InstrumentError(
+                "sensor.detection_probability is 0 at every band's wavelength: extend the table"
+            )
+        return rate / rate.mean()
+
     def half_spacing_ns(self) -> float:
         """Half the smallest gap between two pulses of the train, ns.
 
@@ -384,7 +406,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         width_um, height_um = self.sensor.pixel_width_um, self.sensor.pixel_height_um
         assert width_um is not None  # __post_init__ has seen to it
         assert height_um is not None
-        to_slope = 1e-3 / self.lens.focal_length_mm
+        to_slope = np.float64(1e-3 / self.lens.focal_length_mm)
         right = (np.arange(cols) - (cols - 1) / 2) * width_um * to_slope
         down = (np.arange(rows) - (rows - 1) / 2) * height_um * to_slope
         return np.broadcast_to(right, (rows, cols)), np.broadcast_to(down[:, None], (rows, cols))

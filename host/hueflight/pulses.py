@@ -69,7 +69,8 @@ class Pulse:
         """Photons between successive edges, shape (edge − 1,); wrapped around a period if given."""
         if period_ns is None:
             return np.diff(self.cumulative(edges_ns))
-        return np.diff(sum(self.cumulative(edges_ns + turn) for turn in self._turns(period_ns)))
+        turns = self._turns(period_ns)
+        return np.diff(np.sum([self.cumulative(edges_ns + turn) for turn in turns], axis=0))
 
     def wrapped_density(
         self, time_ns: NDArray[np.floating], period_ns: float | None
@@ -85,7 +86,7 @@ class Pulse:
         earliest = self.center_ns - 8.5 * self.sigma_ns
         latest = self.center_ns + 8.5 * self.sigma_ns + 36 * self.tail_ns
         first, last = ceil(earliest / period_ns) - 1, ceil(latest / period_ns)
-        return np.arange(first - 1, last + 1) * period_ns
+        return np.arange(first - 1, last + 1, dtype=np.float64) * np.float64(period_ns)
 
 
 @lru_cache(maxsize=1024)
@@ -95,7 +96,7 @@ def full_width_half_maximum(sigma_ns: float, tail_ns: float) -> float:
         return GAUSSIAN_FWHM_PER_SIGMA * sigma_ns
     pulse = Pulse(0.0, sigma_ns, tail_ns)
     # the mode lies where the slope changes sign, between the Gaussian's centre and its mean
-    mode = float(brentq(pulse.slope, -sigma_ns, tail_ns + sigma_ns, xtol=1e-12))
+    mode = float(brentq(lambda t: float(pulse.slope(t)), -sigma_ns, tail_ns + sigma_ns, xtol=1e-12))
     half = float(pulse.density(mode)) / 2
 
     def above_half(time_ns: float) -> float:

@@ -50,7 +50,7 @@ class TimeBins:
         if period_ns is not None:
             count = min(count, cls.codes_needed(period_ns, bin_width_ns))
         # time that the converter itself counts, from its start
-        counted_ns = np.arange(count + 1) * bin_width_ns
+        counted_ns = np.arange(count + 1, dtype=np.float64) * np.float64(bin_width_ns)
         if period_ns is not None:
             counted_ns[-1] = min(counted_ns[-1], period_ns)
         ordered = np.arange(first_code, first_code + count)

@@ -1,0 +1,1 @@
+"""From histograms to images: depth, reflectance, uncertainty and the limits of all three."""

@@ -1,0 +1,92 @@
+"""The image: what reconstruction gives, labelled with dimensions, wavelengths and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.calibration import Calibration
+from hueflight.reconstruction.quality import Quality
+
+UNITS = {
+    "depth": "m",
+    "depth_std": "m",
+    "reflectance": "1",
+    "reflectance_std": "1",
+    "background": "count / code",
+    "photons": "count",
+}
+LONG_NAMES = {
+    "depth": "distance from the camera along the optical axis",
+    "depth_std": "standard deviation of depth",
+    "reflectance": "reflectance relative to the reference target",
+    "reflectance_std": "standard deviation of reflectance",
+    "background": "counts per code that the pulses do not explain",
+    "photons": "photons in the pixel's histogram",
+}
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Raw results of an estimator, pixels in any order.
+
+    Attributes
+    ----------
+    depth, depth_std : (row, col), m.
+    reflectance, reflectance_std : (band, row, col).
+    background, photons : (row, col).
+    quality : (row, col) bits of `Quality`.
+    """
+
+    depth: NDArray[np.float64]
+    depth_std: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+    reflectance_std: NDArray[np.float64]
+    background: NDArray[np.float64]
+    photons: NDArray[np.float64]
+    quality: NDArray[np.uint16]
+
+
+def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> xr.Dataset:
+    """Dataset with dims (row, col) and (row, col, band), units and provenance in attributes."""
+    plane, cube = ("row", "col"), ("row", "col", "band")
+    variables = {}
+    for name, unit in UNITS.items():
+        values = getattr(estimates, name)
+        dims = cube if values.ndim == 3 else plane
+        ordered = np.moveaxis(values, 0, -1) if values.ndim == 3 else values
+        attributes = {"units": unit, "long_name": LONG_NAMES[name]}
+        variables[name] = (dims, ordered.astype(np.float32), attributes)
+    variables["quality"] = (
+        plane,
+        estimates.quality,
+        {
+            "long_name": "quality flags",
+            "flag_masks": [int(flag) for flag in Quality],
+            "flag_meanings": " ".join((flag.name or "").lower() for flag in Quality),
+        },
+    )
+    instrument = calibration.instrument
+    coordinates = {
+        "wavelength": (
+            "band",
+            instrument.wavelengths_nm,
+            {"units": "nm", "long_name": "peak emission wavelength"},
+        ),
+        "band_name": ("band", [band.name for band in instrument.bands]),
+    }
+    return xr.Dataset(
+        variables,
+        coords=coordinates,
+        attrs={
+            "method": method,
+            "instrument": instrument.name,
+            "instrument_fingerprint": instrument.fingerprint(),
+            "reference_distance_m": calibration.distance,
+            "software": f"hueflight {version('hueflight')}",
+        },
+    )

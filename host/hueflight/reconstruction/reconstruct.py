@@ -1,0 +1,65 @@
+"""The door to reconstruction: one histogram and a calibration in, one image out."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from hueflight.calibration import Calibration
+from hueflight.errors import HistogramError
+from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
+from hueflight.reconstruction import paper
+from hueflight.reconstruction.image import as_image
+from hueflight.reconstruction.quality import Quality
+
+METHODS = ("paper",)
+
+
+def reconstruct(
+    histogram: ArrayLike,
+    calibration: Calibration,
+    /,
+    *,
+    method: str = "paper",
+    frames: ArrayLike | None = None,
+    range_correction: bool = False,
+    pileup_correction: bool = False,
+) -> xr.Dataset:
+    """Depth and reflectance in every band from one histogram per pixel.
+
+    Parameters
+    ----------
+    histogram : (row, col, code) counts, raw codes on the last axis.
+    calibration : of the same instrument.
+    method : ``"paper"``, the published correlation method.
+    frames : exposures behind the histogram, a number or (row, col); by default the sum over
+        codes where the sensor reports its empty exposures, else as many as the reference had.
+    range_correction : multiply reflectance by the squared ratio of distances.
+    pileup_correction : undo the loss of later photons of an exposure.
+
+    Returns
+    -------
+    Dataset with `depth`, `depth_std` (m), `reflectance`, `reflectance_std`, `background`
+    (counts per code), `photons` and `quality`; what can't be known is NaN with a flag.
+
+    Raises
+    ------
+    HistogramError
+        If the histogram does not fit the calibration's instrument, or is empty.
+    """
+    if method not in METHODS:
+        raise HistogramError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
+    instrument = calibration.instrument
+    counts = check_histogram(histogram, instrument)
+    exposures = frames_per_pixel(counts, instrument, frames)
+    light = calibration.bins.in_time_order(counts).astype(np.float32, copy=False)
+    estimates = paper.estimate(
+        light,
+        exposures,
+        calibration,
+        range_correction=range_correction,
+        pileup_correction=pileup_correction,
+    )
+    estimates.quality[counters_full(counts)] |= int(Quality.SATURATED)
+    return as_image(estimates, calibration, method=method)

@@ -12,3 +12,46 @@ class HueflightError(Exception):
 
 class ProtocolError(HueflightError):
     """Bytes or values that the wire format or the control protocol does not allow."""
+
+
+class PacketError(ProtocolError):
+    """A packet that breaks a rule of the wire format.
+
+    Parameters
+    ----------
+    message : str
+        What was wrong, with the value.
+    rule : str
+        Number of the broken rule in the specification, such as ``"F7"``.
+    offset : int
+        Byte within the packet at which the offending value stands.
+    """
+
+    def __init__(self, message: str, *, rule: str, offset: int) -> None:
+        super().__init__(f"{message} (byte {offset} of the packet, rule {rule})")
+        self.rule = rule
+        self.offset = offset
+
+
+class AbortedFrameError(PacketError):
+    """A well-formed frame packet whose trailer says that the camera gave the frame up."""
+
+
+class MessageError(ProtocolError):
+    """A control message that is not well-formed; a device drops it and counts it.
+
+    Parameters
+    ----------
+    message : str
+        What was wrong, with the value.
+    rule : str
+        Number of the broken rule in the specification, such as ``"C4"``.
+    """
+
+    def __init__(self, message: str, *, rule: str) -> None:
+        super().__init__(f"{message} (rule {rule})")
+        self.rule = rule
+
+
+class RegisterError(ProtocolError):
+    """An unknown register or field, or a value that does not fit it."""

@@ -1,0 +1,377 @@
+"""Register map of the illuminator: the board that fires the LEDs."""
+
+from enum import IntEnum
+
+from .common_map import common_registers
+from .errors import RegisterError
+from .registers import Access, Field, Parts, Register, RegisterMap, Reserved, value
+
+BOARD = b"HILL"
+ARM_KEY = 0x214D5241
+"""``ARM!`` in ASCII."""
+BANKS = 2
+MAX_CHANNELS = 32
+MAX_PULSES = 4
+MAX_STEPS = 32
+MAX_LANES = 8
+MAX_PERIOD_TICKS = 4096
+_DELAY_BITS = 12
+
+
+class TriggerSource(IntEnum):
+    """What starts a train."""
+
+    EXTERNAL = 0
+    INTERNAL = 1
+    SOFTWARE = 2
+
+
+class Retrigger(IntEnum):
+    """What a trigger does while a train runs."""
+
+    IGNORE = 0
+    RESTART = 1
+
+
+class Advance(IntEnum):
+    """What a sequencer step counts."""
+
+    TRIGGERS = 0
+    FRAME_SYNC = 1
+
+
+def illuminator_map(
+    *,
+    channels: int = 9,
+    pulses: int = MAX_PULSES,
+    steps: int = MAX_STEPS,
+    lanes: int = 4,
+    tick_fs: int = 1_250_000,
+    clock_hz: int = 200_000_000,
+    max_on_ticks: int = 80,
+    duty_on_ticks: int = 80,
+    duty_window_ticks: int = 256,
+) -> RegisterMap:
+    """Return the illuminator's register map; addresses are the same for every build.
+
+    Parameters
+    ----------
+    channels : int
+        LED channels, 1 to 32.
+    pulses : int
+        Pulses per channel and period, 1 to 4.
+    steps : int
+        Steps that a sequencer program may have, 1 to 32.
+    lanes : int
+        Ticks per clock, 1 to 8.
+    tick_fs : int
+        Length of a tick in femtoseconds.
+    clock_hz : int
+        Frequency of the pulse generator's clock.
+    max_on_ticks : int
+        Longest time that a channel may be on without a pause.
+    duty_on_ticks, duty_window_ticks : int
+        A channel is on for at most the first in any window of the second.
+
+    Raises
+    ------
+    RegisterError
+        If a number is out of its range.
+    """
+    for name, number, high in (
+        ("channels", channels, MAX_CHANNELS),
+        ("pulses", pulses, MAX_PULSES),
+        ("steps", steps, MAX_STEPS),
+        ("lanes", lanes, MAX_LANES),
+    ):
+        if not 1 <= number <= high:
+            raise RegisterError(f"{name} = {number}: must be from 1 to {high}")
+    limits = [
+        Register(
+            "capacity",
+            0x010,
+            Access.CONST,
+            (
+                Field("channels", 8, "LED channels", reset=channels),
+                Field("pulses", 8, "pulses per channel and period", reset=pulses),
+                Field("steps", 8, "steps of a sequencer program", reset=steps),
+                Field("lanes", 8, "ticks per clock", reset=lanes),
+            ),
+            "size of this build",
+        ),
+        Register(
+            "tick_fs",
+            0x011,
+            Access.CONST,
+            value(32, "", reset=tick_fs, unit="fs"),
+            "length of a tick",
+        ),
+        Register(
+            "max_on",
+            0x012,
+            Access.CONST,
+            value(16, "", reset=max_on_ticks, unit="tick"),
+            "longest time that a channel may be on without a pause",
+        ),
+        Register(
+            "max_duty",
+            0x013,
+            Access.CONST,
+            (
+                Field("on_ticks", 16, "on at most this long", reset=duty_on_ticks, unit="tick"),
+                Field("window_ticks", 16, "in any window", reset=duty_window_ticks, unit="tick"),
+            ),
+            "largest duty of a channel",
+        ),
+    ]
+    common = common_registers(
+        BOARD, clock_hz=clock_hz, features=_FEATURES, state=_STATE, faults=_FAULTS
+    )
+    return RegisterMap(
+        "illuminator",
+        [
+            *common,
+            *limits,
+            *_safety(channels),
+            *_trigger(lanes),
+            *_sequencer(channels, steps),
+            *_schedule(channels, pulses),
+        ],
+    )
+
+
+_FEATURES = (Field("temperature", 1, "the temperature is measured"),)
+
+_STATE = (
+    Field("armed", 1, "LEDs may fire"),
+    Field("busy", 1, "a train is running"),
+    Field("bank", 1, "schedule bank in use"),
+    Field("swap_pending", 1, "another bank is selected and waits for the period's end"),
+    Field("sequencing", 1, "the sequencer is running"),
+    Field("trigger_level", 1, "level of the trigger input"),
+    Reserved(2),
+    Field("step", 8, "step of the sequencer"),
+    Field("marker", 8, "value on the marker outputs"),
+)
+
+_FAULTS = (
+    Field("watchdog", 1, "the watchdog disarmed the board"),
+    Field("on_limit", 1, "a pulse was cut at the longest on-time"),
+    Field("duty_limit", 1, "a pulse was held back by the duty limit"),
+    Field("trigger_ignored", 1, "a trigger came while a train was running"),
+    Field("saturated", 1, "a counter stands at its largest value"),
+)
+
+
+def _safety(channels: int) -> list[Register]:
+    return [
+        Register(
+            "arm",
+            0x018,
+            Access.KEY,
+            value(32, f"`{ARM_KEY:#010x}` arms, anything else disarms"),
+            "arm or disarm; the board is disarmed after reset",
+        ),
+        Register(
+            "watchdog_ms",
+            0x019,
+            Access.RW,
+            value(16, "0 keeps the board disarmed", reset=1000, unit="ms"),
+            "time without a feed after which the board disarms itself",
+        ),
+        Register(
+            "watchdog_feed",
+            0x01A,
+            Access.PULSE,
+            value(1, "start the time again"),
+            "feed the watchdog",
+        ),
+        Register(
+            "watchdog_left_ms", 0x01B, Access.RO, value(16, "", unit="ms"), "time left until disarm"
+        ),
+        Register(
+            "on_limited",
+            0x01C,
+            Access.W1C,
+            value(channels, "bit k: channel k"),
+            "channels whose on-time was cut",
+        ),
+        Register(
+            "duty_limited",
+            0x01D,
+            Access.W1C,
+            value(channels, "bit k: channel k"),
+            "channels held back by the duty limit",
+        ),
+    ]
+
+
+def _trigger(lanes: int) -> list[Register]:
+    counter = value(32, "number")
+    return [
+        Register(
+            "trigger",
+            0x020,
+            Access.RW,
+            (
+                Field("source", 2, "what starts a train", choices=TriggerSource),
+                Field("retrigger", 1, "a trigger during a train", choices=Retrigger),
+                Field("falling", 1, "the external trigger's falling edge counts"),
+                Field("output", 1, "send a trigger-out with every train"),
+            ),
+            "trigger",
+        ),
+        Register(
+            "trigger_period",
+            0x021,
+            Access.RW,
+            value(16, "", reset=256, unit="tick"),
+            "period of the internal trigger",
+        ),
+        Register("trigger_now", 0x022, Access.PULSE, value(1, "start a train"), "software trigger"),
+        Register(
+            "trigger_out",
+            0x023,
+            Access.RW,
+            (
+                Field("delay", _DELAY_BITS, "after the trigger", unit="tick"),
+                Reserved(4),
+                Field("width", 12, "0 = no pulse", reset=8, unit="tick"),
+            ),
+            "trigger for a camera that follows",
+        ),
+        Register("triggers_seen", 0x028, Access.RO, counter, "edges, saturating"),
+        Register("triggers_served", 0x029, Access.RO, counter, "trains begun, saturating"),
+        Register(
+            "triggers_ignored", 0x02A, Access.RO, counter, "edges without a train, saturating"
+        ),
+        Register("restarts", 0x02B, Access.RO, counter, "trains cut by a retrigger, saturating"),
+        Register("swaps", 0x02C, Access.RO, counter, "changes of bank, saturating"),
+        Register(
+            "clear",
+            0x02D,
+            Access.PULSE,
+            (
+                Field("counters", 1, "the five registers before this one"),
+                Field("phase", 1, "the phase registers"),
+            ),
+            "set statistics to 0",
+        ),
+        Register(
+            "phase",
+            0x030,
+            Access.RO,
+            (
+                Field("last", 8, "of the last trigger", unit="tick"),
+                Field("min", 8, "smallest since cleared", unit="tick"),
+                Field("max", 8, "largest since cleared", unit="tick"),
+                Field("valid", 1, "a trigger was seen since cleared"),
+            ),
+            "position of the external trigger within the clock",
+        ),
+        Register(
+            "phase_count",
+            0x038,
+            Access.RO,
+            counter,
+            "triggers at each phase, saturating",
+            count=(lanes,),
+            strides=(1,),
+        ),
+    ]
+
+
+def _sequencer(channels: int, steps: int) -> list[Register]:
+    def program(name: str, offset: int, parts: Parts, doc: str) -> Register:
+        return Register(name, 0x080 + offset, Access.RW, parts, doc, count=(steps,), strides=(4,))
+
+    return [
+        Register(
+            "sequencer",
+            0x050,
+            Access.RW,
+            (
+                Field("advance", 1, "what steps count", choices=Advance),
+                Field("loop", 1, "begin again after the last step"),
+                Reserved(6),
+                Field("length", 8, "steps in the program", reset=1),
+            ),
+            "how the program runs",
+        ),
+        Register(
+            "sequencer_control",
+            0x051,
+            Access.PULSE,
+            (
+                Field("start", 1, "begin at step 0 with the next period"),
+                Field("stop", 1, "end after the period that is running"),
+                Field("sync", 1, "a frame sync from the host"),
+            ),
+            "start and stop the program",
+        ),
+        Register(
+            "step_left",
+            0x052,
+            Access.RO,
+            value(32, "triggers or frame syncs"),
+            "what is left of the present step, its idle part included",
+        ),
+        program(
+            "step_setup",
+            0,
+            (
+                Field("bank", 1, "schedule bank"),
+                Reserved(7),
+                Field("marker", 8, "value on the marker outputs"),
+            ),
+            "bank and marker of a step",
+        ),
+        program("step_mask", 1, value(channels, "bit k: channel k fires"), "channels of a step"),
+        program(
+            "step_count", 2, value(32, "triggers or frame syncs; 0 = skip"), "length of a step"
+        ),
+        program("step_idle", 3, value(32, "triggers or frame syncs"), "dark time after a step"),
+    ]
+
+
+def _schedule(channels: int, pulses: int) -> list[Register]:
+    return [
+        Register(
+            "bank_select",
+            0x040,
+            Access.RW,
+            value(1, "bank"),
+            "bank wanted; taken over when the period ends. The sequencer has precedence",
+        ),
+        Register(
+            "bank_period",
+            0x042,
+            Access.RW,
+            value(13, "1 to 4096", reset=256, unit="tick"),
+            "length of a train, per bank",
+            count=(BANKS,),
+            strides=(1,),
+        ),
+        Register(
+            "bank_enable",
+            0x044,
+            Access.RW,
+            value(channels, "bit k: channel k"),
+            "channels that fire, per bank",
+            count=(BANKS,),
+            strides=(1,),
+        ),
+        Register(
+            "pulse",
+            0x100,
+            Access.RW,
+            (
+                Field("delay", _DELAY_BITS, "from the trigger to the rising edge", unit="tick"),
+                Reserved(4),
+                Field("width", 12, "0 = no pulse", unit="tick"),
+            ),
+            "schedule: bank, channel, pulse. Write the bank that is not in use",
+            count=(BANKS, channels, pulses),
+            strides=(MAX_CHANNELS * MAX_PULSES, MAX_PULSES, 1),
+        ),
+    ]

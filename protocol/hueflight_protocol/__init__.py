@@ -25,7 +25,9 @@ from .errors import (
     ProtocolError,
     RegisterError,
 )
-from .frame import Frame, FrameHeader, decode_frame, encode_frame
+from .frame import Frame, FrameHeader
+from .frame_decoder import decode_frame
+from .frame_encoder import encode_frame
 from .illuminator_map import illuminator_map
 from .packets import (
     Event,

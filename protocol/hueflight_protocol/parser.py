@@ -8,7 +8,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from .errors import AbortedFrameError, PacketError
-from .frame import Frame, read_frame
+from .frame import Frame
+from .frame_decoder import read_frame
 from .packets import Event, Opaque, Status, TestPattern, decode_packet, packet_size
 from .walk import PREFIX_BYTES, FrameWalk, header_size
 from .wire import MAGIC, PacketType

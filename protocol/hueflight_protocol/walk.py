@@ -32,9 +32,8 @@ from .wire import (
     FrameFlags,
     PacketType,
     TrailerStatus,
-    bitmap_bytes,
-    dense_bytes,
     dense_from,
+    padded,
 )
 
 PREFIX_BYTES = 8
@@ -89,6 +88,10 @@ class Chunk:
     pixels: int
     offset: int
     """Byte of the chunk word within the packet."""
+    bitmap_size: int
+    """Bytes of bitmap; 0 in a dense chunk."""
+    packed_size: int
+    """Bytes of packed codes, padding not counted."""
     size: int
     """Payload bytes, padding included."""
 
@@ -195,8 +198,10 @@ class FrameWalk:
                 rule="F9",
                 offset=self.position,
             )
-        size = dense_bytes(pixels, code_bits) if dense else bitmap_bytes(pixels, hits, code_bits)
-        return Chunk(kind, index, hits, pixels, self.position, size)
+        bitmap_size = 0 if dense else -(-pixels // 8)
+        packed_size = -(-(pixels if dense else hits) * code_bits // 8)
+        size = padded(bitmap_size + packed_size, 4)
+        return Chunk(kind, index, hits, pixels, self.position, bitmap_size, packed_size, size)
 
     def _read_trailer(self, trailer: dict[str, int]) -> None:
         end = END_WORD.unpack(trailer["end"])

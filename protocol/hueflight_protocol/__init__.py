@@ -42,7 +42,8 @@ from .packets import (
     encode_test_pattern,
 )
 from .parser import Damage, Packet, PacketParser, ParserReport
-from .registers import Access, Field, Register, RegisterMap, Reserved
+from .register_file import RegisterFile
+from .registers import Access, Field, Place, Register, RegisterMap, Reserved
 from .wire import (
     CHUNK_WORD,
     DEFAULT_RUN,
@@ -97,9 +98,11 @@ __all__ = [
     "PacketType",
     "ParserReport",
     "PatternKind",
+    "Place",
     "ProtocolError",
     "Register",
     "RegisterError",
+    "RegisterFile",
     "RegisterMap",
     "Request",
     "Reserved",

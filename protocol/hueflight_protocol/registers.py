@@ -7,11 +7,13 @@ from the lowest bit up, so that their positions follow from their widths.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from itertools import product
 
 from .checksum import crc32c
 from .errors import RegisterError
 
 WORD_BITS = 32
+ADDRESS_BITS = 16
 
 
 class Access(Enum):
@@ -116,8 +118,8 @@ class Register:
     strides : tuple of int
         Words from one element to the next, along each axis.
     words : int
-        1, or 2 for a 64-bit value: low word first. Reading the low word of an RO register
-        holds the high word still until it is read.
+        1, or 2 for a 64-bit value: low word first. The high word is read as it was when the
+        low word was read.
     """
 
     name: str
@@ -156,6 +158,11 @@ class Register:
         """Value after reset."""
         return self.encode()
 
+    @property
+    def mask(self) -> int:
+        """Ones at all bits that belong to a field."""
+        return sum(((1 << p.field.width) - 1) << p.shift for p in self.fields.values())
+
     def address_of(self, *indices: int) -> int:
         """Return the word address of an element's first word.
 
@@ -173,13 +180,9 @@ class Register:
                 )
         return self.address + sum(i * s for i, s in zip(indices, self.strides, strict=True))
 
-    def addresses(self) -> Iterator[int]:
-        """Yield every word address that the register occupies, in order of its indices."""
-        starts = [self.address]
-        for count, stride in zip(self.count, self.strides, strict=True):
-            starts = [start + i * stride for start in starts for i in range(count)]
-        for start in starts:
-            yield from range(start, start + self.words)
+    def elements(self) -> Iterator[tuple[int, ...]]:
+        """Yield the indices of every element; one empty tuple for a single register."""
+        return product(*(range(count) for count in self.count))
 
     def encode(self, **values: int) -> int:
         """Return the register's value; fields not given take their reset value.
@@ -223,6 +226,15 @@ def value(width: int, doc: str, *, reset: int = 0, unit: str = "") -> tuple[Fiel
     return (Field("value", width, doc, reset=reset, unit=unit),)
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What stands at one word address: a register, which element, which of its words."""
+
+    register: Register
+    indices: tuple[int, ...]
+    word: int
+
+
 class RegisterMap:
     """All registers of a board.
 
@@ -236,25 +248,33 @@ class RegisterMap:
     Raises
     ------
     RegisterError
-        If two registers share a name or an address.
+        If two registers share a name or an address, or an address has more than 16 bits.
     """
 
     def __init__(self, name: str, registers: Iterable[Register]) -> None:
         self.name = name
         self.registers = tuple(sorted(registers, key=lambda register: register.address))
         self._by_name: dict[str, Register] = {}
-        self._by_address: dict[int, Register] = {}
+        self._by_address: dict[int, Place] = {}
         for register in self.registers:
             if register.name in self._by_name:
                 raise RegisterError(f"{name}: register {register.name!r} stands twice")
             self._by_name[register.name] = register
-            for address in register.addresses():
-                if address in self._by_address:
-                    other = self._by_address[address].name
-                    raise RegisterError(
-                        f"{name}: {register.name} and {other} share address {address:#05x}"
-                    )
-                self._by_address[address] = register
+            for indices in register.elements():
+                first = register.address_of(*indices)
+                for word in range(register.words):
+                    self._place(first + word, Place(register, indices, word))
+
+    def _place(self, address: int, place: Place) -> None:
+        other = self._by_address.get(address)
+        name = place.register.name
+        if other is not None:
+            raise RegisterError(
+                f"{self.name}: {name} and {other.register.name} share address {address:#06x}"
+            )
+        if not 0 <= address < 1 << ADDRESS_BITS:
+            raise RegisterError(f"{self.name}: {name} needs address {address:#x}")
+        self._by_address[address] = place
 
     def __getitem__(self, name: str) -> Register:
         """Return the register called `name`."""
@@ -271,12 +291,12 @@ class RegisterMap:
         """Whether there is a register at a word address."""
         return address in self._by_address
 
-    def at(self, address: int, /) -> Register:
-        """Return the register at a word address."""
+    def at(self, address: int, /) -> Place:
+        """Return what stands at a word address."""
         try:
             return self._by_address[address]
         except KeyError:
-            raise RegisterError(f"the {self.name} has no register at {address:#05x}") from None
+            raise RegisterError(f"the {self.name} has no register at {address:#06x}") from None
 
     @property
     def fingerprint(self) -> int:

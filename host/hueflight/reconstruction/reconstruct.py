@@ -24,7 +24,7 @@ def reconstruct(
     method: str = "paper",
     frames: ArrayLike | None = None,
     range_correction: bool = False,
-    pileup_correction: bool = False,
+    pileup_correction: bool = True,
 ) -> xr.Dataset:
     """Depth and reflectance in every band from one histogram per pixel.
 
@@ -36,7 +36,8 @@ def reconstruct(
     frames : exposures behind the histogram, a number or (row, col); by default the sum over
         codes where the sensor reports its empty exposures, else as many as the reference had.
     range_correction : multiply reflectance by the squared ratio of distances.
-    pileup_correction : undo the loss of later photons of an exposure.
+    pileup_correction : undo the loss of later photons of an exposure, where the sensor reports
+        its empty exposures or `frames` says how many there were.
 
     Returns
     -------

@@ -1,0 +1,188 @@
+"""Scenes by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import SceneError
+from hueflight.instrument import Instrument
+from hueflight.simulator.bricks import shelf_scene, wall_scene
+from hueflight.simulator.colorchecker import PATCHES, patch_reflectances
+from hueflight.simulator.layout import Layout, Palette
+from hueflight.simulator.scene import NOTHING, Layer, Scene, illuminator_positions, trace
+from hueflight.simulator.shapes import Array
+from hueflight.simulator.spectra import reflectance
+
+
+def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:
+    """One wall that faces the camera and fills the picture.
+
+    Parameters
+    ----------
+    distance : m.
+    surface : name of a surface, or a grey reflectance from 0 to 1.
+    """
+    palette = Palette()
+    name = surface if isinstance(surface, str) else f"grey {surface:g}"
+    index = palette.add(name, reflectance(surface))
+    layer = Layer(distance, lambda x, _y: np.full(np.shape(x), index, dtype=np.intp))
+    return Layout((layer,), palette, {"plane": (name,)})
+
+
+def color_checker(*, distance: float = 1.0) -> Layout:
+    """The 24 patches of a ColorChecker, 28 × 19 cm, on a grey wall 2 cm behind it.
+
+    Parameters
+    ----------
+    distance : m.
+    """
+    patch, pitch, rim = 0.040, 0.0455, 0.004
+    palette = Palette()
+    colors = np.array([
+        palette.add(name, spectrum)
+        for name, spectrum in zip(PATCHES, patch_reflectances(), strict=True)
+    ])  # fmt: skip
+    frame, wall = palette.add("frame", reflectance("black")), palette["grey"]
+    left, top = -3 * pitch, -2 * pitch
+
+    def chart(x: Array, y: Array) -> NDArray[np.intp]:
+        col, row = np.floor((x - left) / pitch), np.floor((y - top) / pitch)
+        in_grid = (col >= 0) & (col < 6) & (row >= 0) & (row < 4)
+        off_x, off_y = np.mod(x - left, pitch) - pitch / 2, np.mod(y - top, pitch) - pitch / 2
+        on_patch = in_grid & (np.maximum(np.abs(off_x), np.abs(off_y)) < patch / 2)
+        color = colors[np.where(in_grid, row * 6 + col, 0).astype(np.intp)]
+        board = (np.abs(x) < -left + rim) & (np.abs(y) < -top + rim)
+        return np.where(on_patch, color, np.where(board, frame, NOTHING))
+
+    layers = (
+        Layer(distance, chart),
+        Layer(distance + 0.02, lambda x, _y: np.full(np.shape(x), wall, dtype=np.intp)),
+    )
+    return Layout(layers, palette, {name: (name,) for name in PATCHES})
+
+
+def staircase(*, near: float = 0.6, far: float = 1.3, steps: int = 8) -> Layout:
+    """Upright strips, each further away than the one to its left.
+
+    Parameters
+    ----------
+    near, far : distance of the first and the last strip, m.
+    steps : number of strips over the 294 mrad that preset `paper` sees.
+    """
+    if steps < 1:
+        raise SceneError(f"staircase: steps = {steps}: must be at least 1")
+    if far <= near:
+        raise SceneError(f"staircase: far = {far} must lie beyond near = {near}")
+    palette = Palette()
+    ends = np.linspace(-0.147, 0.147, steps + 1)
+    ends[0], ends[-1] = -np.inf, np.inf
+    layers, regions = [], {}
+    for step, depth in enumerate(np.linspace(near, far, steps)):
+        name = f"step {step + 1}"
+        index = palette.add(name, reflectance(0.8))
+        layers.append(
+            Layer(float(depth), _strip(index, ends[step] * depth, ends[step + 1] * depth))
+        )
+        regions[name] = (name,)
+    return Layout(tuple(layers), palette, regions)
+
+
+def _strip(index: int, left: float, right: float) -> Callable[[Array, Array], NDArray[np.intp]]:
+    return lambda x, _y: np.where((x >= left) & (x < right), index, NOTHING)
+
+
+def empty() -> Layout:
+    """Nothing within reach: no light comes back."""
+    return Layout((), Palette(), {})
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A scene that can be asked for by name."""
+
+    build: Callable[..., Layout]
+    description: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options and their defaults."""
+        parameters = inspect.signature(self.build).parameters.values()
+        return {parameter.name: parameter.default for parameter in parameters}
+
+
+SCENES: dict[str, Entry] = {
+    "fig1": Entry(
+        shelf_scene, "the paper's Fig. 1: board with logos, brick wall, horse on a shelf"
+    ),
+    "fig7": Entry(wall_scene, "the paper's Fig. 7: brick wall with a window 20 cm before a board"),
+    "colorchecker": Entry(color_checker, "24 patches of known colour on a grey wall"),
+    "plane": Entry(plane, "a wall of one surface at one distance"),
+    "staircase": Entry(staircase, "strips at rising distance"),
+    "empty": Entry(empty, "nothing at all: dark counts only"),
+}
+
+
+def scenes() -> dict[str, str]:
+    """Names of the scenes and one line on each."""
+    return {name: entry.description for name, entry in SCENES.items()}
+
+
+def scene(
+    name: str,
+    instrument: Instrument,
+    *,
+    illuminator_m: tuple[float, float] = (0.065, 0.0),
+    ring_m: float = 0.01,
+    indirect: float = 0.03,
+    **options: Any,
+) -> Scene:
+    """A scene by name, as an instrument sees it.
+
+    Parameters
+    ----------
+    name : one of `scenes()`.
+    instrument : whose geometry and bands to lay it out for.
+    illuminator_m : where the middle of the LED ring sits, metres right and down of the lens as
+        the picture shows it. The paper's shadows lie to the left of what throws them (its Fig. 6),
+        which puts the LEDs to the right of the picture.
+    ring_m : diameter of the ring (paper: 1 cm); LEDs follow each other clockwise from its right.
+    indirect : share of light that reaches a shadow by way of other surfaces.
+    options : of the scene itself, see its builder in `SCENES`.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene or option, or a distance is not positive.
+    """
+    if name not in SCENES:
+        raise SceneError(f"no scene {name!r}: there are {', '.join(SCENES)}")
+    entry = SCENES[name]
+    if unknown := set(options) - set(entry.options):
+        known = ", ".join(entry.options) or "none"
+        raise SceneError(f"scene {name!r} has no option {min(unknown)!r}; it has: {known}")
+    if not 0 <= indirect <= 1:
+        raise SceneError(f"indirect = {indirect!r}: must lie in 0..1")
+    layout = entry.build(**options)
+    for layer in layout.layers:
+        if not (isfinite(layer.depth_m) and layer.depth_m > 0):
+            raise SceneError(
+                f"scene {name!r} with {options}: something lies at {layer.depth_m:g} m; "
+                "everything must lie in front of the camera"
+            )
+    return trace(
+        name,
+        layout.layers,
+        instrument,
+        surfaces=tuple(layout.palette.spectra),
+        spectra=layout.palette.table(),
+        regions=layout.regions,
+        leds_m=illuminator_positions(instrument, illuminator_m, ring_m),
+        indirect=indirect,
+    )

@@ -1,0 +1,148 @@
+"""p(code) of a first-photon sensor, exact for a periodic light signal.
+
+Within a period, the first photon falls into bin i with probability
+exp(−Λ_i)·(1 − exp(−λ_i)), where λ_i is the bin's expected photon number and Λ_i that of all
+bins before it in the period. An exposure of M periods keeps the first photon of the first period
+that has one, and no period knows of the one before, so
+
+    p_i = exp(−Λ_i)·(1 − exp(−λ_i)) · (1 − exp(−MΛ)) / (1 − exp(−Λ)),    p_0 = exp(−MΛ).
+
+The exposure opens with a period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import ceil, floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.instrument import Instrument
+from hueflight.simulator.light import Rates
+from hueflight.timebins import TimeBins
+
+# Cubic interpolation of a bin's share between delays h apart errs by at most
+# (9/16)·h⁴/24·max|share''''|, and the fourth derivative of a bin's share of a pulse with Gaussian
+# part σ is at most 2·0.551/σ⁴ (an exponential tail only smooths). With h = σ/24: 7.8e-8.
+STEPS_PER_SIGMA = 24
+
+_TILE_BYTES = 32 << 20
+
+
+@dataclass(frozen=True)
+class PulseTable:
+    """Every band's share of light in every bin, tabulated over delay.
+
+    Attributes
+    ----------
+    start_ns, step_ns : delay of the first entry and between entries.
+    shares : (delay, band, bin).
+    """
+
+    start_ns: float
+    step_ns: float
+    shares: NDArray[np.float64]
+
+    @classmethod
+    def build(
+        cls, instrument: Instrument, bins: TimeBins, delay_ns: NDArray[np.floating]
+    ) -> PulseTable:
+        """A table that covers all given delays."""
+        trains = [instrument.pulses(band) for band in range(len(instrument.bands))]
+        step_ns = min(pulse.sigma_ns for train in trains for pulse in train) / STEPS_PER_SIGMA
+        first = floor(float(delay_ns.min()) / step_ns) - 1
+        last = ceil(float(delay_ns.max()) / step_ns) + 2
+        shares = np.empty((last - first + 1, len(trains), bins.count))
+        for entry in range(last - first + 1):
+            delay = (first + entry) * step_ns
+            for band, train in enumerate(trains):
+                shares[entry, band] = sum(
+                    replace(pulse, center_ns=pulse.center_ns + delay).share(
+                        bins.edges_ns, bins.period_ns
+                    )
+                    for pulse in train
+                )
+        return cls(first * step_ns, step_ns, shares)
+
+    def expected(
+        self, photons: NDArray[np.float64], delay_ns: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Photons per bin: photons (band, pixel), delays (pixel,) → (pixel, bin)."""
+        position = (delay_ns - self.start_ns) / self.step_ns
+        cell = position.astype(np.intp)
+        f = position - cell
+        lagrange = np.stack([
+            -f * (f - 1) * (f - 2) / 6,
+            (f + 1) * (f - 1) * (f - 2) / 2,
+            -(f + 1) * f * (f - 2) / 2,
+            (f + 1) * f * (f - 1) / 6,
+        ], axis=1)  # fmt: skip
+        # one small matrix product for all pixels of a cell
+        weights = (lagrange[:, :, None] * photons.T[:, None, :]).reshape(cell.size, -1)
+        order = np.argsort(cell, kind="stable")
+        starts = np.flatnonzero(np.diff(cell[order], prepend=-1))
+        result = np.empty((cell.size, self.shares.shape[2]))
+        for members in np.split(order, starts[1:]):
+            at = cell[members[0]]
+            neighbours = self.shares[at - 1 : at + 3].reshape(-1, self.shares.shape[2])
+            result[members] = weights[members] @ neighbours
+        return np.maximum(result, 0, out=result)  # interpolation may undershoot by its error
+
+
+def code_probabilities(rates: Rates, rows: slice = slice(None)) -> NDArray[np.float64]:
+    """Probability of every code in one exposure.
+
+    Parameters
+    ----------
+    rates : from `expected_rates`.
+    rows : which rows to compute.
+
+    Returns
+    -------
+    (row, col, code). Code 0 is that of an empty exposure where the sensor reports those; else
+    the probabilities of a pixel sum to its occupancy, and what is missing has no code.
+    """
+    part = rates.rows(rows)
+    table = PulseTable.build(rates.instrument, rates.bins, part.delay_ns)
+    return _tile_probabilities(part, table)
+
+
+def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+    """`code_probabilities` by pieces of bounded size: rows and their (row, col, code)."""
+    table = PulseTable.build(rates.instrument, rates.bins, rates.delay_ns)
+    rows, cols = rates.shape
+    step = max(1, _TILE_BYTES // (8 * cols * rates.instrument.sensor.codes))
+    for start in range(0, rows, step):
+        tile = slice(start, min(rows, start + step))
+        yield tile, _tile_probabilities(rates.rows(tile), table)
+
+
+def _tile_probabilities(rates: Rates, table: PulseTable) -> NDArray[np.float64]:
+    sensor, bins = rates.instrument.sensor, rates.bins
+    bands = rates.photons.shape[0]
+    expected = table.expected(rates.photons.reshape(bands, -1), rates.delay_ns.ravel())
+    expected += rates.background.reshape(-1, 1) * (bins.widths_ns / bins.span_ns)
+    in_bins = first_photon_probabilities(expected, rates.periods, pile_up=rates.pile_up)
+    result = np.zeros((expected.shape[0], sensor.codes))
+    result[:, bins.codes] = in_bins
+    if sensor.reports_empty:
+        result[:, 0] = np.exp(-rates.periods * expected.sum(axis=1))
+    return result.reshape(*rates.shape, sensor.codes)
+
+
+def first_photon_probabilities(
+    expected: NDArray[np.float64], periods: int, *, pile_up: bool
+) -> NDArray[np.float64]:
+    """p(bin) from expected photons per period, both (…, bin) in time order; see the module."""
+    total = expected.sum(axis=-1, keepdims=True)
+    occupancy = -np.expm1(-periods * total)
+    if pile_up:
+        before = np.cumsum(expected, axis=-1) - expected
+        in_period = -np.expm1(-expected) * np.exp(-before)
+        per_period = -np.expm1(-total)
+    else:
+        in_period, per_period = expected, total
+    scale = np.divide(occupancy, per_period, out=np.zeros_like(total), where=per_period > 0)
+    return in_period * scale

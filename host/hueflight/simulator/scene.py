@@ -1,0 +1,229 @@
+"""A scene as an instrument sees it: what each pixel looks at, how far, how well lit, and the truth.
+
+Scenes are made of flat layers that face the camera, described in metres, so that any geometry can
+look at them: each pixel's ray is followed to the first layer that it hits, and from there to
+each LED to see whether another layer is in the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import SceneError
+from hueflight.instrument import Instrument
+from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights
+
+NOTHING = -1  #: surface index where a ray meets nothing
+
+Paint = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.intp]]
+Relief = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A flat object that faces the camera.
+
+    Attributes
+    ----------
+    depth_m : distance from the camera along its axis.
+    paint : from metres right and down of the axis to the index of the surface there, `NOTHING`
+        where the layer has none.
+    relief : from the same metres to how far the surface stands out of the layer towards the
+        camera, m; for rounded objects.
+    """
+
+    depth_m: float
+    paint: Paint
+    relief: Relief | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a perfect measurement would give.
+
+    Attributes
+    ----------
+    depth : (row, col), m along the optical axis; NaN where there is nothing.
+    reflectance : (band, row, col), relative to a white surface, mean over the band's light.
+    shading : (row, col), brightness by the surface's tilt: 1 for what faces the camera.
+    lit : (row, col), whether every LED reaches the point; elsewhere there is a shadow.
+    regions : name → mask (row, col) of the lit part of an object.
+    wavelengths_nm : (band,).
+    """
+
+    depth: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+    shading: NDArray[np.float64]
+    lit: NDArray[np.bool_]
+    regions: Mapping[str, NDArray[np.bool_]]
+    wavelengths_nm: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene from an instrument's point of view. Make it with `scene`.
+
+    Attributes
+    ----------
+    name : of the scene.
+    depth : (row, col), m along the optical axis; NaN where a ray meets nothing.
+    incidence : (row, col), cosine between the surface's normal and the way to the camera.
+    surface : (row, col), index into `surfaces`, `NOTHING` (−1) where there is none.
+    surfaces : names.
+    spectra : (surface, wavelength) reflectance on `spectra.WAVELENGTH_NM`.
+    light : (band, row, col), share of each LED's direct light that arrives; small in a shadow.
+    glare : (row, col), mirror-like reflection on top of the reflectance, of no colour.
+    regions : name → mask (row, col).
+    """
+
+    name: str
+    depth: NDArray[np.float64]
+    incidence: NDArray[np.float64]
+    surface: NDArray[np.intp]
+    surfaces: tuple[str, ...]
+    spectra: NDArray[np.float64]
+    light: NDArray[np.float64]
+    glare: NDArray[np.float64]
+    regions: Mapping[str, NDArray[np.bool_]]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(row, col)."""
+        return self.depth.shape[0], self.depth.shape[1]
+
+    @property
+    def visible(self) -> NDArray[np.bool_]:
+        """Whether a ray meets anything, (row, col)."""
+        return self.surface != NOTHING
+
+    def require_fit(self, instrument: Instrument) -> None:
+        """Raise `SceneError` unless the scene was laid out for this instrument's geometry."""
+        expected = (len(instrument.bands), *instrument.image_shape)
+        if self.light.shape != expected:
+            raise SceneError(
+                f"scene {self.name!r} was laid out for (band, row, col) = {self.light.shape} but "
+                f"instrument {instrument.name!r} has {expected}: make the scene for it"
+            )
+
+    def band_reflectance(self, instrument: Instrument) -> NDArray[np.float64]:
+        """Mean reflectance under each band's light, (band, row, col); 0 where there is nothing."""
+        return self._spread(band_weights(instrument) @ self.spectra.T)
+
+    def mean_reflectance(self, weights: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Mean reflectance under one spectrum (wavelength,), (row, col); 0 where there is nothing.
+
+        The weights should sum to 1.
+        """
+        return self._spread(weights[None] @ self.spectra.T)[0]
+
+    def truth(self, instrument: Instrument) -> Truth:
+        """Depth, reflectance and regions that a perfect measurement would give."""
+        self.require_fit(instrument)
+        nothing = ~self.visible
+        lit = np.all(self.light == 1, axis=0) & self.visible
+        return Truth(
+            depth=self.depth.copy(),
+            reflectance=np.where(nothing, np.nan, self.band_reflectance(instrument)),
+            shading=np.where(nothing, np.nan, self.incidence / instrument.ray_cosine()),
+            lit=lit,
+            regions={name: mask & lit for name, mask in self.regions.items()},
+            wavelengths_nm=instrument.wavelengths_nm,
+        )
+
+    def _spread(self, of_surface: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(…, surface) → (…, row, col), 0 where there is nothing."""
+        # the appended column is where index −1 points
+        padded = np.concatenate([of_surface, np.zeros((of_surface.shape[0], 1))], axis=1)
+        return padded[:, self.surface]
+
+
+def illuminator_positions(
+    instrument: Instrument, center_m: tuple[float, float], ring_m: float
+) -> NDArray[np.float64]:
+    """Where each LED sits in the camera's plane, metres right and down, shape (band, 2)."""
+    angle = 2 * np.pi * np.arange(len(instrument.bands)) / len(instrument.bands)
+    return np.array(center_m) + ring_m / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def trace(
+    name: str,
+    layers: Sequence[Layer],
+    instrument: Instrument,
+    *,
+    surfaces: Sequence[str],
+    spectra: NDArray[np.float64],
+    regions: Mapping[str, Sequence[str]],
+    leds_m: NDArray[np.float64],
+    indirect: float,
+) -> Scene:
+    """The scene that layers make for an instrument.
+
+    Parameters
+    ----------
+    surfaces, spectra : names and reflectances (surface, wavelength) that `Layer.paint` points to.
+    regions : name → surfaces that belong to it.
+    leds_m : (band, 2), see `illuminator_positions`.
+    indirect : share of light that reaches a shadow by way of other surfaces.
+    """
+    if spectra.shape != (len(surfaces), WAVELENGTH_NM.size):
+        raise SceneError(f"spectra have shape {spectra.shape}, not one row for each surface")
+    right, down = instrument.ray_slopes()
+    shape = right.shape
+    depth = np.full(shape, np.nan)
+    incidence = instrument.ray_cosine().copy()
+    surface = np.full(shape, NOTHING, dtype=np.intp)
+    light = np.ones((len(instrument.bands), *shape))
+    in_front: list[Layer] = []
+    for layer in sorted(layers, key=lambda layer: layer.depth_m):
+        x, y = right * layer.depth_m, down * layer.depth_m
+        paint = layer.paint(x, y)
+        hit = (paint != NOTHING) & (surface == NOTHING)
+        surface[hit] = paint[hit]
+        depth[hit] = layer.depth_m
+        if layer.relief is not None:
+            depth[hit] -= layer.relief(x[hit], y[hit])
+            incidence[hit] *= _tilt(layer.relief, x[hit], y[hit], right[hit], down[hit])
+        for front in in_front:
+            for band, (led_x, led_y) in enumerate(leds_m):
+                share = front.depth_m / layer.depth_m
+                on_way = (
+                    led_x + (x[hit] - led_x) * share,
+                    led_y + (y[hit] - led_y) * share,
+                )
+                light[band, hit] *= np.where(front.paint(*on_way) == NOTHING, 1.0, indirect)
+        in_front.append(layer)
+    np.maximum(light, indirect, out=light)  # two things in the way are no darker than one
+    return Scene(
+        name=name,
+        depth=depth,
+        incidence=incidence,
+        surface=surface,
+        surfaces=tuple(surfaces),
+        spectra=spectra,
+        light=light,
+        glare=np.zeros(shape),
+        regions={
+            region: np.isin(surface, [list(surfaces).index(member) for member in members])
+            for region, members in regions.items()
+        },
+    )
+
+
+def _tilt(
+    relief: Relief,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    right: NDArray[np.float64],
+    down: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Cosine of incidence over that of the flat layer, at points of a relief."""
+    step = 2e-4
+    slope_x = (relief(x + step, y) - relief(x - step, y)) / (2 * step)
+    slope_y = (relief(x, y + step) - relief(x, y - step)) / (2 * step)
+    # the normal is −(slope_x, slope_y, 1), the way to the camera −(right, down, 1)
+    facing = 1 + slope_x * right + slope_y * down
+    return np.maximum(facing, 0) / np.sqrt(1 + slope_x**2 + slope_y**2)

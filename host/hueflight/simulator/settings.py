@@ -1,0 +1,187 @@
+"""What is not the scene: light level, imperfections of the sensor, and which LEDs fire."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import SceneError
+from hueflight.instrument import Instrument
+from hueflight.timebins import TimeBins
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationSettings:
+    """Light and imperfections of a simulated instrument; the defaults are a good real one.
+
+    Attributes
+    ----------
+    white_detections : the one scale of the light budget: LED photons that a pixel on the axis
+        would detect per exposure, were it not for its dead time, from a white plane at 1 m with
+        all LEDs on. Everything else follows from the instrument (power, spectra, optics) and the
+        scene (distance, angle, reflectance). See `light.radiometric_detections` for what the
+        bare numbers of the instrument would give with an open iris.
+    drive : strength of the LEDs, one number or one per band; 0 is off.
+    ambient : steady light on the scene, relative to the LEDs' mean light on a plane at 1 m.
+    dark_counts : factor on the sensor's typical dark count rate, 0 for none.
+    dark_spread : standard deviation of the logarithm of a pixel's dark count rate.
+    hot_share : share of pixels that fire all the time.
+    dead_share : share of pixels that never fire.
+    delay_skew_ns : how much later the last column's clock runs than the first one's.
+    delay_spread_ns : standard deviation of a pixel's own delay on top.
+    dnl_lsb : standard deviation of a code's width, in nominal widths (differential nonlinearity).
+    inl_lsb : largest slow deviation of a code's edge, in nominal widths (integral nonlinearity).
+    pile_up : whether an early photon hides later ones of the same period; without it, codes
+        follow the light exactly. One photon per exposure is kept either way.
+    seed : draws the imperfections: one seed, one instrument.
+    """
+
+    white_detections: float = 0.35
+    drive: float | tuple[float, ...] = 1.0
+    ambient: float = 0.02
+    dark_counts: float = 1.0
+    dark_spread: float = 0.5
+    hot_share: float = 0.01
+    dead_share: float = 0.002
+    delay_skew_ns: float = 1.5
+    delay_spread_ns: float = 0.2
+    dnl_lsb: float = 0.05
+    inl_lsb: float = 0.5
+    pile_up: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in (
+            "white_detections", "ambient", "dark_counts", "dark_spread", "hot_share",
+            "dead_share", "delay_spread_ns", "dnl_lsb", "inl_lsb",
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not (isfinite(value) and value >= 0):
+                raise SceneError(f"settings.{name} = {value!r}: must be a finite number, 0 or more")
+        if not isfinite(self.delay_skew_ns):
+            raise SceneError(f"settings.delay_skew_ns = {self.delay_skew_ns!r}: must be finite")
+        if self.hot_share + self.dead_share > 1:
+            raise SceneError(
+                f"settings: hot_share {self.hot_share} and dead_share {self.dead_share} "
+                "are together more than all pixels"
+            )
+        if self.dnl_lsb > 0.25:
+            raise SceneError(
+                f"settings.dnl_lsb = {self.dnl_lsb}: above 0.25 some codes would have no width"
+            )
+        drives = self.drive if isinstance(self.drive, tuple) else (self.drive,)
+        if any(not (isfinite(d) and d >= 0) for d in drives):
+            raise SceneError(f"settings.drive = {self.drive!r}: every LED's must be 0 or more")
+
+    @classmethod
+    def ideal(cls, **changes: Any) -> SimulationSettings:
+        """No imperfection and no background; pile-up, which is statistics, stays on."""
+        perfect = cls(
+            ambient=0, dark_counts=0, dark_spread=0, hot_share=0, dead_share=0,
+            delay_skew_ns=0, delay_spread_ns=0, dnl_lsb=0, inl_lsb=0,
+        )  # fmt: skip
+        return perfect.replace(**changes)
+
+    def replace(self, **changes: Any) -> SimulationSettings:
+        """A copy with some values changed."""
+        return replace(self, **changes)
+
+    def band_drive(self, instrument: Instrument) -> NDArray[np.float64]:
+        """Strength of each LED, (band,)."""
+        bands = len(instrument.bands)
+        if not isinstance(self.drive, tuple):
+            return np.full(bands, float(self.drive))
+        if len(self.drive) != bands:
+            raise SceneError(
+                f"settings.drive has {len(self.drive)} entries but instrument "
+                f"{instrument.name!r} has {bands} bands"
+            )
+        return np.array(self.drive, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """What distinguishes the pixels of one sensor from one another, each (row, col) of an image.
+
+    Attributes
+    ----------
+    delay_ns : how much later than nominal a pixel's photons seem to come.
+    dark_rate_hz : avalanches per second without light.
+    hot, dead : masks of defects.
+    """
+
+    delay_ns: NDArray[np.float64]
+    dark_rate_hz: NDArray[np.float64]
+    hot: NDArray[np.bool_]
+    dead: NDArray[np.bool_]
+
+
+# A hot pixel is a diode whose dark rate is so high that it fires in any exposure, most within
+# some periods. Its codes need no special case: they follow from first-photon statistics, a steep
+# decay from the opening of the exposure.
+_HOT_RATE_HZ = (1e6, 3e7)
+
+
+def pixels(instrument: Instrument, settings: SimulationSettings) -> Pixels:
+    """Delay, dark rate and defects of every pixel; a scanned sensor's repeat at each step."""
+    sensor = instrument.sensor
+    shape = (sensor.rows, sensor.cols)
+    rng = np.random.default_rng([settings.seed, 1])
+    # all draws are made whatever the settings, so that switching one thing off moves no other
+    lottery = rng.permuted(np.arange(sensor.rows * sensor.cols)).reshape(shape) / np.prod(shape)
+    own_delay = rng.standard_normal(shape)
+    darkness = rng.standard_normal(shape)
+    heat = rng.random(shape)
+    hot = lottery < settings.hot_share
+    dead = (lottery >= settings.hot_share) & (lottery < settings.hot_share + settings.dead_share)
+    across = np.linspace(0, 1, sensor.cols) if sensor.cols > 1 else np.zeros(1)
+    dark_rate = (
+        settings.dark_counts * sensor.dark_count_hz * np.exp(settings.dark_spread * darkness)
+    )
+    coolest, hottest = _HOT_RATE_HZ
+    dark_rate = np.where(hot, coolest * (hottest / coolest) ** heat, dark_rate)
+    delay = settings.delay_skew_ns * across + settings.delay_spread_ns * own_delay
+
+    def at_all_steps(values: NDArray[Any]) -> NDArray[Any]:
+        return np.tile(values, (sensor.scan_steps, 1))
+
+    return Pixels(
+        delay_ns=at_all_steps(delay),
+        dark_rate_hz=at_all_steps(dark_rate),
+        hot=at_all_steps(hot),
+        dead=at_all_steps(dead),
+    )
+
+
+def time_bins(instrument: Instrument, settings: SimulationSettings) -> TimeBins:
+    """The bins that the simulated converter really has, of unequal width; equal for all pixels.
+
+    Widths vary at random and with an arch over the whole range, as when a ring oscillator
+    drifts. The last full code ends where it should, so the partial code of a period that is not
+    a whole number of codes keeps its nominal width.
+    """
+    nominal = instrument.time_bins()
+    if settings.dnl_lsb == 0 and settings.inl_lsb == 0:
+        return nominal
+    width = instrument.sensor.bin_width_ns
+    reverse = instrument.sensor.direction == "reverse"
+    widths = nominal.widths_ns[::-1] if reverse else nominal.widths_ns
+    full = int(np.count_nonzero(widths > width * (1 - 1e-9)))
+    rng = np.random.default_rng([settings.seed, 2])
+    uneven = np.clip(settings.dnl_lsb * rng.standard_normal(full), -0.9, 0.9)
+    arch = settings.inl_lsb * np.sin(np.pi * np.arange(full + 1) / full)
+    edges = np.concatenate([[0.0], np.cumsum(1 + uneven)])
+    edges = (edges * full / edges[-1] + arch) * width
+    edges = np.concatenate([edges, edges[-1] + np.cumsum(widths[full:])])
+    if np.any(np.diff(edges) <= 0):
+        raise SceneError(
+            f"settings: dnl_lsb = {settings.dnl_lsb} and inl_lsb = {settings.inl_lsb} leave a "
+            "code without width: reduce them"
+        )
+    if reverse:
+        edges = (edges[-1] - edges)[::-1].copy()
+    return TimeBins(nominal.codes, edges, nominal.period_ns)

@@ -3,7 +3,10 @@
 from hueflight_protocol.errors import HueflightError
 
 __all__ = [
+    "BatchError",
     "CalibrationError",
+    "ExportError",
+    "FileFormatError",
     "HistogramError",
     "HueflightError",
     "InstrumentError",
@@ -35,3 +38,15 @@ class RecordingError(HueflightError):
 
 class SceneError(HueflightError):
     """A scene that does not exist or does not fit the instrument."""
+
+
+class ExportError(HueflightError):
+    """A result that can't be written: the format does not hold it, or the disk did not take it."""
+
+
+class FileFormatError(HueflightError):
+    """A file of results or counts that can't be read, is incomplete, or is not what it says."""
+
+
+class BatchError(HueflightError):
+    """Many captures that can't be worked through together."""

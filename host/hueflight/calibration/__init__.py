@@ -1,11 +1,14 @@
-"""Calibration: windows, gains, delays and defects of one instrument, from known targets."""
+"""Calibration: windows, waveforms, gains, delays and defects of one instrument."""
 
-from hueflight.calibration.calibration import Calibration, calibrate, measured_widths
+from hueflight.calibration.calibration import Calibration
+from hueflight.calibration.from_captures import calibrate, measured_widths
+from hueflight.calibration.templates import Templates
 from hueflight.calibration.windows import PulseWindow, find_windows, window_sums
 
 __all__ = [
     "Calibration",
     "PulseWindow",
+    "Templates",
     "calibrate",
     "find_windows",
     "measured_widths",

@@ -46,15 +46,24 @@ def fisher_information(
 
 
 def expected_shares(
-    instrument: Instrument, delay_ns: float
+    source: Calibration | Instrument, depth: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Shares (band, bin), their slopes by delay (per ns) and widths (bin,) at a delay."""
-    bins = instrument.time_bins()
+    """Shares (band, bin), their slopes by delay (per ns) and flat widths (bin,) at a depth, m.
+
+    From a calibration's measured waveforms, or from an instrument's own pulses.
+    """
+    if isinstance(source, Calibration):
+        edges_ns = source.bins.edges_ns
+        delay_ns = 2 * (depth - source.distance) / SPEED_OF_LIGHT_M_PER_NS
+        shares = source.templates.shares(edges_ns, delay_ns)
+        slopes = source.templates.slopes(edges_ns, delay_ns)
+        return shares, slopes, source.bins.widths_ns / source.bins.span_ns
+    bins = source.time_bins()
     period_ns = bins.period_ns
-    edges_ns = bins.edges_ns - delay_ns
+    edges_ns = bins.edges_ns - 2 * depth / SPEED_OF_LIGHT_M_PER_NS
     shares, slopes = [], []
-    for band in range(len(instrument.bands)):
-        pulses = instrument.pulses(band)
+    for band in range(len(source.bands)):
+        pulses = source.pulses(band)
         shares.append(np.sum([p.share(edges_ns, period_ns) for p in pulses], axis=0))
         # d/dτ ∫ p(t − τ) dt = −[p] at the bin's edges
         edge_density = np.sum([p.wrapped_density(edges_ns, period_ns) for p in pulses], axis=0)
@@ -63,33 +72,24 @@ def expected_shares(
 
 
 def information(
-    instrument: Instrument,
+    source: Calibration | Instrument,
     *,
     photons: float,
     reflectance: ArrayLike | None = None,
     background: float = 0.0,
-    brightness: ArrayLike | None = None,
-    delay_ns: float = 0.0,
+    depth: float | None = None,
 ) -> NDArray[np.float64]:
     """Fisher information (band + 2)² of a pixel that expects `photons` of signal in all.
 
-    Parameters
-    ----------
-    photons : expected signal photons over all bands.
-    reflectance : (band,) relative reflectance, default white.
-    background : expected background photons over the whole period.
-    brightness : (band,) relative photon rate of a white target; default the instrument's.
-    delay_ns : time of flight.
+    Parameters and errors are those of `depth_bound`.
     """
-    bands = len(instrument.bands)
-    white = instrument.band_brightness() if brightness is None else np.asarray(brightness, float)
-    colour = np.ones(bands) if reflectance is None else np.asarray(reflectance, dtype=np.float64)
-    for name, value in (("reflectance", colour), ("brightness", white)):
-        if value.shape != (bands,) or not np.isfinite(value).all() or (value < 0).any():
-            raise HueflightError(
-                f"{name} = {value.tolist()}: must be {bands} finite numbers, 0 or more, "
-                "one for each band"
-            )
+    white = _brightness_of(source)
+    colour = np.ones(white.size) if reflectance is None else np.asarray(reflectance, float)
+    if colour.shape != white.shape or not np.isfinite(colour).all() or (colour < 0).any():
+        raise HueflightError(
+            f"reflectance = {colour.tolist()}: must be {white.size} finite numbers, 0 or more, "
+            "one for each band"
+        )
     if not (np.isfinite(photons) and photons > 0 and np.isfinite(background) and background >= 0):
         raise HueflightError(
             f"photons = {photons!r}, background = {background!r}: photons must be above 0 and "
@@ -98,8 +98,10 @@ def information(
     amplitudes = white * colour
     if not amplitudes.any():
         raise HueflightError("reflectance is 0 in every band: there is no signal to bound")
+    if depth is None:
+        depth = source.distance if isinstance(source, Calibration) else 0.0
     amplitudes = amplitudes * (photons / amplitudes.sum())
-    return fisher_information(*expected_shares(instrument, delay_ns), amplitudes, background)
+    return fisher_information(*expected_shares(source, depth), amplitudes, background)
 
 
 def bounds(fisher: NDArray[np.floating], *, background: float) -> NDArray[np.float64]:
@@ -137,7 +139,7 @@ def depth_bound(
 
     Parameters
     ----------
-    source : a calibration (its measured brightness of each band counts) or an instrument.
+    source : a calibration (its measured waveforms and brightness count) or an instrument.
     photons : expected signal photons over all bands.
     reflectance : (band,) relative reflectance, default white.
     background : expected background photons over the whole period.
@@ -148,7 +150,9 @@ def depth_bound(
     HueflightError
         If a number makes no sense, or there is no signal.
     """
-    fisher = _information_of(source, photons, reflectance, background, depth)
+    fisher = information(
+        source, photons=photons, reflectance=reflectance, background=background, depth=depth
+    )
     return depth_deviation(float(bounds(fisher, background=background)[0]))
 
 
@@ -166,7 +170,9 @@ def reflectance_bound(
     Reflectance is in units of the one given (default white = 1). Parameters and errors are
     those of `depth_bound`.
     """
-    fisher = _information_of(source, photons, reflectance, background, depth)
+    fisher = information(
+        source, photons=photons, reflectance=reflectance, background=background, depth=depth
+    )
     brightness = _brightness_of(source)
     colour = np.ones(brightness.size) if reflectance is None else np.asarray(reflectance, float)
     photons_per_reflectance = brightness * photons / (brightness @ colour)
@@ -175,27 +181,4 @@ def reflectance_bound(
 
 def _brightness_of(source: Calibration | Instrument) -> NDArray[np.float64]:
     """(band,) relative photon rate of a white target."""
-    if isinstance(source, Calibration):
-        white = np.asarray(source.provenance["reflectance"]) / source.gain
-        return white / white.mean()
-    return source.band_brightness()
-
-
-def _information_of(
-    source: Calibration | Instrument,
-    photons: float,
-    reflectance: ArrayLike | None,
-    background: float,
-    depth: float | None,
-) -> NDArray[np.float64]:
-    measured = isinstance(source, Calibration)
-    if depth is None:
-        depth = source.distance if measured else 0.0
-    return information(
-        source.instrument if measured else source,
-        photons=photons,
-        reflectance=reflectance,
-        background=background,
-        brightness=_brightness_of(source),
-        delay_ns=2 * depth / SPEED_OF_LIGHT_M_PER_NS,
-    )
+    return source.brightness if isinstance(source, Calibration) else source.band_brightness()

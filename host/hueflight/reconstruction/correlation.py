@@ -64,6 +64,7 @@ def peak_centroid(
         inside = _at(mass, high) - _at(mass, low)
         first = _at(moment, high) - _at(moment, low)
         np.divide(first, inside, out=centroid, where=inside > 0)
+        np.clip(centroid, -search, search, out=centroid)  # a slope at the end must not lead out
     return centroid
 
 

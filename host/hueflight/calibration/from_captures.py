@@ -1,0 +1,219 @@
+"""From captures of a known flat target to everything that reconstruction needs to know."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hueflight.calibration.calibration import Calibration
+from hueflight.calibration.defects import find_dead, find_hot_in_dark
+from hueflight.calibration.delays import align
+from hueflight.calibration.waveforms import (
+    brightness_of,
+    templates_from_bands,
+    templates_from_train,
+)
+from hueflight.calibration.windows import PulseWindow, find_windows, window_sums
+from hueflight.errors import CalibrationError
+from hueflight.histograms import check_histogram, frames_per_pixel
+from hueflight.instrument import Instrument
+from hueflight.timebins import TimeBins
+
+
+def calibrate(
+    reference: ArrayLike,
+    instrument: Instrument,
+    /,
+    *,
+    distance: float,
+    bands: ArrayLike | None = None,
+    reflectance: ArrayLike | None = None,
+    dark: ArrayLike | None = None,
+    flat: ArrayLike | None = None,
+    frames: ArrayLike | None = None,
+) -> Calibration:
+    """Calibration from captures of a flat target of known distance and reflectance.
+
+    Parameters
+    ----------
+    reference : (row, col, code) counts of the target, all LEDs on.
+    instrument : what made them.
+    distance : of the target from the camera, m.
+    bands : (band, row, col, code) the same target with one LED at a time, of any length;
+        without it the waveforms are parted from `reference`, less surely where they overlap.
+    reflectance : (band,) known reflectance of the target (R_ref of eq. 3), default 1.
+    dark : (row, col, code) counts with the LEDs off, to find hot pixels.
+    flat : (row, col, code) counts under steady light, to measure the widths of the bins
+        (code density).
+    frames : exposures behind the reference; by default the sum over codes where the sensor
+        reports its empty exposures.
+
+    Raises
+    ------
+    HistogramError
+        If a capture does not fit the instrument or is empty.
+    CalibrationError
+        If a capture does not show the pulses it should, or a number makes no sense.
+    """
+    if not (np.isfinite(distance) and distance >= 0):
+        raise CalibrationError(
+            f"distance = {distance!r}: must be the target's distance in metres, 0 or more"
+        )
+    known = _known_reflectance(reflectance, instrument)
+    counts = check_histogram(reference, instrument, name="reference")
+    exposures = frames_per_pixel(counts, instrument, frames)
+    bins = instrument.time_bins()
+    if flat is not None:
+        flat_counts = check_histogram(flat, instrument, name="flat")
+        bins = bins.with_widths(measured_widths(bins.in_time_order(flat_counts), bins))
+    light = bins.in_time_order(counts).astype(np.float32)
+    photons = light.sum(axis=-1, dtype=np.float64)
+    if not photons.any():
+        raise CalibrationError(
+            "the reference has no light: every frame was empty. Check that the LEDs were armed "
+            "and the lens cap is off"
+        )
+    dead = find_dead(photons)
+    pooled, delay, hot = align(light, instrument, bins, dead)
+    if dark is not None:
+        hot |= _hot_in_dark(dark, instrument, bins) & ~dead
+    usable = ~(dead | hot)
+    if not usable.any():
+        raise CalibrationError("every pixel of the reference is dead or hot: nothing to calibrate")
+
+    windows = find_windows(pooled, instrument, bins, distance=distance)
+    circular = bins.period_ns is not None
+    gain, flat_field = _gains(light, windows, delay, usable, exposures, known, circular=circular)
+    delay_ns = delay * (bins.span_ns / bins.count)
+    delay_ns[~usable] = 0.0
+    if bands is None:
+        templates = templates_from_train(light, delay_ns, usable, windows, instrument, bins)
+    else:
+        captures = _band_captures(bands, instrument, bins)
+        templates = templates_from_bands(captures, delay_ns, usable, windows, instrument, bins)
+    photons_per_frame = brightness_of(light, delay_ns, usable, templates, bins)
+    if exposures is not None:
+        photons_per_frame = photons_per_frame / exposures[usable].mean()
+    return Calibration(
+        instrument=instrument,
+        distance=float(distance),
+        bins=bins,
+        reference=light,
+        frames=exposures,
+        windows=windows,
+        pixel_delay_ns=delay_ns,
+        gain=gain,
+        templates=templates,
+        brightness=photons_per_frame / known,
+        flat_field=flat_field,
+        dead=dead,
+        hot=hot,
+        provenance={
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "software": f"hueflight {version('hueflight')}",
+            "reference_photons": int(photons.sum()),
+            "reference_frames": None if exposures is None else int(np.median(exposures)),
+            "reflectance": known.tolist(),
+            "bands": bands is not None,
+            "dark": dark is not None,
+            "flat": flat is not None,
+        },
+    )
+
+
+def measured_widths(flat: NDArray[Any], bins: TimeBins) -> NDArray[np.float64]:
+    """Widths (bin,) in ns from counts (…, bin) under steady light: the code-density test.
+
+    Under light that is flat in time a bin's share of the counts is its share of the period
+    (IEEE Std 1241, histogram test).
+    """
+    density = flat.reshape(-1, flat.shape[-1]).sum(axis=0, dtype=np.float64)
+    if density.sum() < 100 * density.size:
+        raise CalibrationError(
+            f"the flat capture holds {density.sum():.0f} photons; at least "
+            f"{100 * density.size} are needed to measure {density.size} bins: capture longer"
+        )
+    return density / density.sum() * bins.span_ns
+
+
+def _band_captures(
+    bands: ArrayLike, instrument: Instrument, bins: TimeBins
+) -> NDArray[np.float32]:
+    """The one-LED captures, checked, (band, row, col, bin) in time order."""
+    captures = np.asarray(bands)
+    expected = (len(instrument.bands), *instrument.histogram_shape)
+    if captures.ndim != 4 or captures.shape[0] != expected[0]:
+        raise CalibrationError(
+            f"bands has shape {captures.shape}; instrument {instrument.name!r} needs "
+            f"(band, row, col, code) = {expected}: one capture for each LED, in its order"
+        )
+    return np.stack(
+        [
+            bins.in_time_order(
+                check_histogram(capture, instrument, name=f"bands[{band}]")
+            ).astype(np.float32)
+            for band, capture in enumerate(captures)
+        ]
+    )
+
+
+def _hot_in_dark(dark: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.bool_]:
+    counts = check_histogram(dark, instrument, name="dark")
+    frames = frames_per_pixel(counts, instrument, None)
+    photons = bins.in_time_order(counts).sum(axis=-1, dtype=np.float64)
+    return find_hot_in_dark(photons, np.ones_like(photons) if frames is None else frames)
+
+
+def _known_reflectance(
+    reflectance: ArrayLike | None, instrument: Instrument
+) -> NDArray[np.float64]:
+    bands = len(instrument.bands)
+    given = np.asarray(1.0 if reflectance is None else reflectance, float)
+    if given.shape not in ((), (bands,)):
+        raise CalibrationError(
+            f"reflectance has shape {given.shape}: give one number, or one for each of the "
+            f"{bands} bands"
+        )
+    known = np.broadcast_to(given, bands)
+    if not (np.isfinite(known).all() and (known > 0).all()):
+        raise CalibrationError(
+            f"reflectance = {known.tolist()}: must be above 0 in each of the {bands} bands"
+        )
+    return known
+
+
+def _gains(
+    light: NDArray[np.float32],
+    windows: tuple[PulseWindow, ...],
+    delay: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    frames: NDArray[np.float64] | None,
+    reflectance: NDArray[np.float64],
+    *,
+    circular: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """α per band (eq. 3) and the flat field (row, col), mean 1 over usable pixels.
+
+    α uses the mean over all pixels, the flat field the sum over all bands: either is measured
+    with far more photons than one pixel has in one band.
+    """
+    sums = np.empty((reflectance.size, *delay.shape))
+    for row in range(light.shape[0]):
+        shift = np.rint(delay[row]).astype(np.intp)
+        sums[:, row] = window_sums(
+            light[row], windows, shift, bands=reflectance.size, circular=circular
+        )
+    per_frame: NDArray[np.float64] = sums if frames is None else sums / frames
+    total = np.asarray(per_frame.sum(axis=0))
+    flat_field = np.where(usable, total / total[usable].mean(), np.nan)
+    mean = np.array([(band[usable] / flat_field[usable]).mean() for band in per_frame])
+    if (mean <= 0).any():
+        dark_bands = np.flatnonzero(mean <= 0).tolist()
+        raise CalibrationError(
+            f"the reference shows no light in band(s) {dark_bands}: check those LEDs"
+        )
+    return reflectance / mean, flat_field

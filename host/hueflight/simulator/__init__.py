@@ -1,6 +1,12 @@
 """The instrument, simulated: scenes, light budget, exact code probabilities, two samplers."""
 
-from hueflight.simulator.captures import CAPTURES, Exposure, exposures, simulate_capture
+from hueflight.simulator.captures import (
+    CAPTURES,
+    Exposure,
+    exposures,
+    simulate_capture,
+    simulate_packets,
+)
 from hueflight.simulator.catalog import SCENES, scene, scenes
 from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
 from hueflight.simulator.probabilities import code_probabilities, probability_tiles
@@ -29,6 +35,7 @@ __all__ = [
     "simulate_capture",
     "simulate_codes",
     "simulate_histogram",
+    "simulate_packets",
     "time_bins",
     "white_photons",
 ]

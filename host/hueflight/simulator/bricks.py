@@ -26,12 +26,15 @@ _INKS = (
 )  # fmt: skip
 
 
-def shelf_scene(*, background: float = 1.0, wall: float = 0.8, horse: float = 0.7) -> Layout:
+def shelf_scene(
+    *, background: float = 1.0, wall: float = 0.8, horse: float = 0.7, glare: float = 0.0
+) -> Layout:
     """Fig. 1: board with logos, brick wall with a window, horse with a saddle on a shelf.
 
     Parameters
     ----------
     background, wall, horse : distances, m.
+    glare : mirror-like reflection from the board's print, at its brightest; the paper saw some.
     """
     palette = Palette()
     layers = (
@@ -47,7 +50,7 @@ def shelf_scene(*, background: float = 1.0, wall: float = 0.8, horse: float = 0.
         _horse(palette, horse, x=0.038, ground=0.024),
         _shelf(palette, horse - 0.005, top=0.024, bottom=0.029),
     )
-    return Layout(layers, palette, _regions(palette))
+    return Layout(layers, palette, _regions(palette), dict.fromkeys(_INKS, glare))
 
 
 def wall_scene(*, distance: float = 1.0) -> Layout:

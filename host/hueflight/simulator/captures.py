@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from typing import Literal, get_args
 
 import numpy as np
@@ -11,9 +13,11 @@ from numpy.typing import NDArray
 from hueflight.errors import SceneError
 from hueflight.instrument import Instrument
 from hueflight.simulator.catalog import scene as make_scene
-from hueflight.simulator.sampling import simulate_histogram
+from hueflight.simulator.light import periods_per_exposure
+from hueflight.simulator.sampling import simulate_codes, simulate_histogram
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings
+from hueflight_protocol import FrameFlags, encode_frame
 
 Kind = Literal["scene", "reference", "bands", "dark", "flat"]
 
@@ -104,15 +108,80 @@ def simulate_capture(
     (row, col, code); of kind ``"bands"`` (band, row, col, code).
     """
     parts = exposures(kind, instrument, scene=scene, distance=distance, settings=settings)
-    kinds = list(CAPTURES)
     histograms = [
         simulate_histogram(
             part.scene,
             instrument,
             frames=frames,
             settings=part.settings,
-            seed=seed * 1000 + kinds.index(kind) * 100 + index,
+            seed=(seed, list(CAPTURES).index(kind), index),
         )
         for index, part in enumerate(parts)
     ]
     return np.stack(histograms) if kind == "bands" else histograms[0]
+
+
+def simulate_packets(
+    kind: Kind,
+    instrument: Instrument,
+    *,
+    frames: int,
+    scene: Scene | None = None,
+    distance: float = 0.40,
+    settings: SimulationSettings | None = None,
+    seed: int = 0,
+    capture: int = 0,
+    clock_hz: int = 100_000_000,
+) -> Iterator[bytes]:
+    """Frame packets of a capture, as the camera would send them.
+
+    Exposures follow each other (kind ``"bands"``), within each the positions of a scanned
+    sensor, within those the frames. The step marker counts all of that:
+    ``exposure · scan_steps + position``.
+
+    Parameters
+    ----------
+    kind, scene, distance, settings : see `exposures`.
+    frames : per exposure and scan position.
+    seed : of the photon noise; each kind draws its own.
+    capture : label in every packet.
+    clock_hz : device clock that timestamps count.
+
+    Yields
+    ------
+    One packet for each frame, (rows, cols) of the sensor.
+
+    Raises
+    ------
+    SceneError
+        If there is no such kind, the scene is missing, or the sensor has no code for empty
+        exposures.
+    """
+    sensor = instrument.sensor
+    parts = exposures(kind, instrument, scene=scene, distance=distance, settings=settings)
+    frame_s = 1 / sensor.frame_rate_hz if sensor.frame_rate_hz else (sensor.exposure_ms or 1) * 1e-3
+    number = count()
+    for index, part in enumerate(parts):
+        for position in range(sensor.scan_steps):
+            blocks = simulate_codes(
+                part.scene,
+                instrument,
+                frames=frames,
+                settings=part.settings,
+                seed=(seed, list(CAPTURES).index(kind), index, position),
+                rows=slice(position * sensor.rows, (position + 1) * sensor.rows),
+            )
+            for codes in (frame for block in blocks for frame in block):
+                frame = next(number)
+                yield encode_frame(
+                    codes,
+                    sequence=frame % 2**32,
+                    frame=frame,
+                    timestamp=round(frame * frame_s * clock_hz),
+                    code_bits=sensor.code_bits,
+                    periods=periods_per_exposure(instrument),
+                    flags=FrameFlags.SIMULATED,
+                    step=index * sensor.scan_steps + position,
+                    capture=capture,
+                    clock_hz=clock_hz,
+                )

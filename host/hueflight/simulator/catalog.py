@@ -183,6 +183,7 @@ def scene(
         surfaces=tuple(layout.palette.spectra),
         spectra=layout.palette.table(),
         regions=layout.regions,
+        gloss=layout.gloss,
         leds_m=illuminator_positions(instrument, illuminator_m, ring_m),
         indirect=indirect,
     )

@@ -36,8 +36,12 @@ class Palette:
 
 @dataclass(frozen=True)
 class Layout:
-    """Layers in any order, their palette, and which surfaces make up each named region."""
+    """Layers in any order, their palette, and which surfaces make up each named region.
+
+    `gloss` gives glossy surfaces the height of their mirror-like reflection.
+    """
 
     layers: tuple[Layer, ...]
     palette: Palette
     regions: dict[str, tuple[str, ...]]
+    gloss: dict[str, float] = field(default_factory=dict)

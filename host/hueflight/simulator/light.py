@@ -85,8 +85,8 @@ def radiometric_detections(instrument: Instrument, *, fill_factor: float = 0.13)
 
     A Lambertian LED of power P on the axis makes the irradiance P/(π z²) on a plane, which a
     Lambertian white surface sends back as the radiance P/(π² z²); a pixel of area A behind a
-    lens of f-number N receives π A/(4 N²) of that. For preset `paper` this is about 13 per
-    exposure: the default 0.35 is the same set-up with its iris closed from f/1.4 to about f/8.
+    lens of f-number N receives π A/(4 N²) of that. For preset `paper` this is about 12 per
+    exposure: the default 0.35 is the same set-up with its iris closed from f/1.4 to f/8.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ def simulate_histogram(
     *,
     frames: int,
     settings: SimulationSettings | None = None,
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
 ) -> NDArray[np.unsignedinteger]:
     """Counts of many exposures at once, by one multinomial draw for each pixel.
 
@@ -31,7 +31,7 @@ def simulate_histogram(
     ----------
     frames : exposures; each pixel's counts sum to it where the sensor reports empty exposures.
     settings : light level and imperfections.
-    seed : of the photon noise.
+    seed : of the photon noise, one or several numbers.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def simulate_histogram(
     """
     _check_frames(frames)
     rates = expected_rates(scene, instrument, settings)
-    rng = np.random.default_rng([seed, 3])
+    rng = _generator(seed, 3)
     dtype = np.uint16 if frames <= np.iinfo(np.uint16).max else np.uint32
     histogram = np.empty(instrument.histogram_shape, dtype=dtype)
     for rows, probabilities in probability_tiles(rates):
@@ -66,7 +66,7 @@ def simulate_codes(
     *,
     frames: int,
     settings: SimulationSettings | None = None,
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
     rows: slice = slice(None),
     block_frames: int = 256,
 ) -> Iterator[NDArray[np.uint16]]:
@@ -75,6 +75,7 @@ def simulate_codes(
     Parameters
     ----------
     frames : how many.
+    seed : of the photon noise, one or several numbers.
     rows : which rows of the image, e.g. one scan step; all by default.
     block_frames : frames per block.
 
@@ -96,7 +97,7 @@ def simulate_codes(
             "simulate its histogram"
         )
     rates = expected_rates(scene, instrument, settings).rows(rows)
-    return _draw_codes(rates, frames, np.random.default_rng([seed, 4]), block_frames)
+    return _draw_codes(rates, frames, _generator(seed, 4), block_frames)
 
 
 def _draw_codes(
@@ -123,6 +124,14 @@ def _thresholds(rates: Rates) -> NDArray[np.uint32]:
         cumulative = np.cumsum(probabilities[..., rates.bins.codes], axis=-1)
         result[rows] = np.minimum(cumulative * _FULL_SCALE, _FULL_SCALE - 1)
     return result
+
+
+def _generator(seed: int | Sequence[int], purpose: int) -> np.random.Generator:
+    """Random numbers of their own for each purpose, so that the samplers share none."""
+    numbers = [seed] if isinstance(seed, int) else list(seed)
+    if any(number < 0 for number in numbers):
+        raise SceneError(f"seed = {seed!r}: must not be negative")
+    return np.random.default_rng([*numbers, purpose])
 
 
 def _check_frames(frames: int) -> None:

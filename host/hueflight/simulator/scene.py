@@ -19,6 +19,10 @@ from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights
 
 NOTHING = -1  #: surface index where a ray meets nothing
 
+_GLOSS_SPREAD = (
+    0.08  # of a highlight on print, metres per metre of distance: satin rather than glass
+)
+
 Paint = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.intp]]
 Relief = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
@@ -76,7 +80,7 @@ class Scene:
     surfaces : names.
     spectra : (surface, wavelength) reflectance on `spectra.WAVELENGTH_NM`.
     light : (band, row, col), share of each LED's direct light that arrives; small in a shadow.
-    glare : (row, col), mirror-like reflection on top of the reflectance, of no colour.
+    glare : (row, col), mirror-like reflection on top of the reflectance, the same in all bands.
     regions : name → mask (row, col).
     """
 
@@ -157,6 +161,7 @@ def trace(
     surfaces: Sequence[str],
     spectra: NDArray[np.float64],
     regions: Mapping[str, Sequence[str]],
+    gloss: Mapping[str, float],
     leds_m: NDArray[np.float64],
     indirect: float,
 ) -> Scene:
@@ -166,6 +171,7 @@ def trace(
     ----------
     surfaces, spectra : names and reflectances (surface, wavelength) that `Layer.paint` points to.
     regions : name → surfaces that belong to it.
+    gloss : surface → height of its mirror-like reflection.
     leds_m : (band, 2), see `illuminator_positions`.
     indirect : share of light that reaches a shadow by way of other surfaces.
     """
@@ -197,6 +203,13 @@ def trace(
                 light[band, hit] *= np.where(front.paint(*on_way) == NOTHING, 1.0, indirect)
         in_front.append(layer)
     np.maximum(light, indirect, out=light)  # two things in the way are no darker than one
+    # a mirror facing the camera shows the LEDs at half their offset
+    off_x, off_y = (
+        slope * np.where(np.isnan(depth), 1, depth) - middle / 2
+        for slope, middle in zip((right, down), leds_m.mean(axis=0), strict=True)
+    )
+    highlight = np.exp(-(off_x**2 + off_y**2) / (2 * (_GLOSS_SPREAD * depth) ** 2))
+    height = np.array([gloss.get(member, 0.0) for member in surfaces] + [0.0])[surface]
     return Scene(
         name=name,
         depth=depth,
@@ -205,7 +218,7 @@ def trace(
         surfaces=tuple(surfaces),
         spectra=spectra,
         light=light,
-        glare=np.zeros(shape),
+        glare=np.where(height > 0, height * highlight, 0.0),
         regions={
             region: np.isin(surface, [list(surfaces).index(member) for member in members])
             for region, members in regions.items()

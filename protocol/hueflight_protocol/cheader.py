@@ -45,12 +45,11 @@ def c_header() -> str:
 
 
 def _layout_lines(name: str, layout: Layout) -> list[str]:
-    lines = [f"#define HF_{name}_BYTES {layout.size}u"]
-    for field in layout.fields:
-        lines.append(
-            f"#define HF_{name}_AT_{field.name.upper()} {field.offset}u /* {field.dtype} */"
-        )
-    return lines
+    places = (
+        f"#define HF_{name}_AT_{field.name.upper()} {field.offset}u /* {field.dtype} */"
+        for field in layout.fields
+    )
+    return [f"#define HF_{name}_BYTES {layout.size}u", *places]
 
 
 def _word_lines(name: str, word: BitLayout) -> list[str]:

@@ -208,7 +208,7 @@ class FrameWalk:
         at = self.position
         if at % ALIGNMENT:
             raise PacketError("end word without padding before it", rule="F6", offset=at)
-        if end["status"] & ~TrailerStatus.ABORTED:
+        if end["status"] & ~int(TrailerStatus.ABORTED):
             raise PacketError(f"status is {end['status']:#x}", rule="F12", offset=at)
         if end["chunks"] != len(self.chunks):
             raise PacketError(

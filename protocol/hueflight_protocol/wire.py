@@ -246,9 +246,8 @@ def dense_from(pixels: int, code_bits: int, /) -> int:
 
 MAX_PACKET_BYTES = (
     FRAME_HEADER.size
-    + dense_bytes(MAX_ROWS * MAX_COLS, MAX_CODE_BITS)
-    + 8 * MAX_CHUNKS
-    + 4
+    + 4 * MAX_CHUNKS
+    + MAX_ROWS * MAX_COLS * MAX_CODE_BITS // 8
     + FRAME_TRAILER.size
 )
-"""No packet is longer; it bounds a parser's memory."""
+"""Every pixel of the largest geometry lit, in the shortest runs: it bounds a reader's memory."""

@@ -140,9 +140,7 @@ def measured_widths(flat: NDArray[Any], bins: TimeBins) -> NDArray[np.float64]:
     return density / density.sum() * bins.span_ns
 
 
-def _band_captures(
-    bands: ArrayLike, instrument: Instrument, bins: TimeBins
-) -> NDArray[np.float32]:
+def _band_captures(bands: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.float32]:
     """The one-LED captures, checked, (band, row, col, bin) in time order."""
     captures = np.asarray(bands)
     expected = (len(instrument.bands), *instrument.histogram_shape)
@@ -153,9 +151,9 @@ def _band_captures(
         )
     return np.stack(
         [
-            bins.in_time_order(
-                check_histogram(capture, instrument, name=f"bands[{band}]")
-            ).astype(np.float32)
+            bins.in_time_order(check_histogram(capture, instrument, name=f"bands[{band}]")).astype(
+                np.float32
+            )
             for band, capture in enumerate(captures)
         ]
     )

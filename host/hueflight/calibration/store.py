@@ -13,6 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
+import google_crc32c
 import numpy as np
 import zarr
 from numpy.typing import NDArray
@@ -113,6 +114,7 @@ def _write(calibration: Calibration, path: Path) -> None:
             "instrument_fingerprint": instrument.fingerprint(),
             "distance_m": calibration.distance,
             "circle_ns": calibration.templates.circle_ns,
+            "crc32c": {name: _checksum(values) for name, values in arrays.items()},
             "provenance": calibration.provenance,
         }
     )
@@ -127,7 +129,11 @@ def _read(group: zarr.Group, attributes: dict[str, Any]) -> Calibration:
         )
 
     def array(name: str) -> NDArray[Any]:
-        return np.asarray(cast("zarr.Array", group[name])[...])
+        values = np.asarray(cast("zarr.Array", group[name])[...])
+        # Zarr reads a missing chunk as zeros and says nothing
+        if _checksum(values) != attributes["crc32c"][name]:
+            raise ValueError(f"{name} does not match its checksum")
+        return values
 
     bins = TimeBins(
         array("bin_codes").astype(np.intp), array("bin_edges_ns"), instrument.timing.period_ns
@@ -155,6 +161,10 @@ def _read(group: zarr.Group, attributes: dict[str, Any]) -> Calibration:
         provenance=dict(attributes["provenance"]),
         **values,
     )
+
+
+def _checksum(values: NDArray[Any]) -> int:
+    return google_crc32c.value(np.ascontiguousarray(values).tobytes())
 
 
 def _reason(error: Exception) -> str:

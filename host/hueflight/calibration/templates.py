@@ -163,7 +163,7 @@ def fit_waveform(
         normal += (weighted.T @ matrix).toarray()
         right += weighted.T @ signal[group]
     # a whisper of smoothness: knots that no bin tells apart must not ring
-    ridge = 1e-6 * np.trace(normal) / max(chosen.size, 1)
+    ridge = 1e-9 * np.trace(normal) / max(chosen.size, 1)
     bend = np.diff(np.eye(chosen.size), n=2, axis=0) if chosen.size > 2 else np.eye(chosen.size)
     solution = np.linalg.solve(normal + ridge * (bend.T @ bend) + 1e-12 * ridge, right)
     coefficients = np.zeros(knots)

@@ -135,20 +135,22 @@ def brightness_of(
         axis=-1,
     ).T
     counts = pool.counts.ravel()
-    weight = 1 / np.sqrt(np.maximum(counts, 1.0))
-    solution, _ = nnls(model * weight[:, None], counts * weight)
+    variance = np.full(counts.size, counts.mean())
+    solution = np.zeros(model.shape[1])
+    for _ in range(4):  # variances of the model, not of the counts: these would bias dim bands
+        weight = 1 / np.sqrt(variance)
+        solution, _ = nnls(model * weight[:, None], counts * weight)
+        expected = model @ solution
+        variance = np.maximum(expected, 1e-6 * expected.max())
     return solution[:-1] / usable.sum()
 
 
-def _require_own_light(
-    pool: Pool, windows: list[PulseWindow], bins: TimeBins, name: str
-) -> None:
+def _require_own_light(pool: Pool, windows: list[PulseWindow], bins: TimeBins, name: str) -> None:
     """Refuse a capture whose light is elsewhere than that band's in the reference."""
     counts = pool.aligned(pool.counts, bins)
     excess = counts - np.quantile(counts / bins.widths_ns, 0.25) * bins.widths_ns
     inside = sum(
-        float(excess[np.arange(window.start, window.stop) % bins.count].sum())
-        for window in windows
+        float(excess[np.arange(window.start, window.stop) % bins.count].sum()) for window in windows
     )
     if inside < 0.5 * np.abs(excess).sum():
         raise CalibrationError(
@@ -192,9 +194,7 @@ def _fit(
 ) -> NDArray[np.float64]:
     """Spline coefficients of one band, each pulse confined to where it can be told from noise."""
     if pool.counts.sum() <= background.sum():
-        raise CalibrationError(
-            f"band {name!r} shows no light above its background: check that LED"
-        )
+        raise CalibrationError(f"band {name!r} shows no light above its background: check that LED")
     support = _support(pool, background, windows, bins, knots)
     return fit_waveform(
         pool.counts,
@@ -244,40 +244,43 @@ def _fit_train(
     counts = pool.aligned(pool.counts, bins)
     order = [window.band for window in windows]
     first = {band: instrument.pulses(band)[0] for band in order}
-    centers = np.array(
-        [_center_of_mass(counts, window, bins) for window in windows]
-    ) - np.array([first[band].tail_ns for band in order])
+    centers = np.array([_center_of_mass(counts, window, bins) for window in windows]) - np.array(
+        [first[band].tail_ns for band in order]
+    )
     areas = np.array(
-        [
-            counts[np.arange(window.start, window.stop) % bins.count].sum()
-            for window in windows
-        ]
+        [counts[np.arange(window.start, window.stop) % bins.count].sum() for window in windows]
     )
-    dark = float(np.quantile(counts / bins.widths_ns, 0.05))
-    start = np.concatenate(
-        [
-            centers,
-            np.log([first[band].sigma_ns for band in order]),
-            np.log([max(first[band].tail_ns, 0.3 * first[band].sigma_ns) for band in order]),
-            np.log(np.maximum(areas, 1.0)),
-            [np.log(max(dark, 1e-6 * counts.sum() / bins.span_ns))],
-        ]
-    )
+    sigmas = np.array([first[band].sigma_ns for band in order])
+    tails = np.array([max(first[band].tail_ns, 0.3 * first[band].sigma_ns) for band in order])
+    areas = np.maximum(areas, 1e-3 * counts.sum())
+    dark = max(float(np.quantile(counts / bins.widths_ns, 0.05)), 1e-6 * areas.max())
+    size = len(order)
+    # times in units of sigma, all else in logarithms, within what a real pulse may do
+    reach = np.concatenate([np.full(size, 3.0), np.full(3 * size, 2.5), [5.0]])
     scale = 1 / np.sqrt(np.maximum(counts, 1.0))
 
-    def pulses_of(parameters: NDArray[np.float64]) -> list[Pulse]:
-        center, sigma, tail, area = parameters[:-1].reshape(4, -1)
-        return [
-            Pulse(c, float(np.exp(s)), float(np.exp(t)), float(np.exp(a)))
-            for c, s, t, a in zip(center, sigma, tail, area, strict=True)
+    def unpack(steps: NDArray[np.float64]) -> tuple[list[Pulse], float]:
+        shift, sigma, tail, area = steps[:-1].reshape(4, -1)
+        pulses = [
+            Pulse(*map(float, parameters))
+            for parameters in zip(
+                centers + shift * sigmas,
+                sigmas * np.exp(sigma),
+                tails * np.exp(tail),
+                areas * np.exp(area),
+                strict=True,
+            )
         ]
+        return pulses, dark * float(np.exp(steps[-1]))
 
-    def residual(parameters: NDArray[np.float64]) -> NDArray[np.float64]:
-        shares = [p.share(bins.edges_ns, bins.period_ns) for p in pulses_of(parameters)]
-        return (np.sum(shares, axis=0) + np.exp(parameters[-1]) * bins.widths_ns - counts) * scale
+    def residual(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+        pulses, level = unpack(steps)
+        shares = [pulse.share(bins.edges_ns, bins.period_ns) for pulse in pulses]
+        return (np.sum(shares, axis=0) + level * bins.widths_ns - counts) * scale
 
-    found = least_squares(residual, start, max_nfev=40, x_scale="jac").x
-    return list(zip(order, pulses_of(found), strict=True)), float(np.exp(found[-1]))
+    found = least_squares(residual, np.zeros(reach.size), bounds=(-reach, reach), max_nfev=40).x
+    pulses, level = unpack(found)
+    return list(zip(order, pulses, strict=True)), level
 
 
 def _center_of_mass(counts: NDArray[np.float64], window: PulseWindow, bins: TimeBins) -> float:

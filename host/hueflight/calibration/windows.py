@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.timebins import TimeBins
 
 WINDOW_FLOOR = 0.02  #: a window ends where the pulse has fallen to this share of its peak
+SMOOTHING_BINS = 1.5  #: σ of the smoothing before peaks are looked for
+NOISE_MARGIN = 5.0  #: a pulse stands this many standard deviations above nothing
 LEAST_MODULATION = 0.2  #: share of the reference's light that must stand above its floor
 
 
@@ -71,12 +73,17 @@ def find_windows(
             "its light stands above the flat background. Check that the LEDs were on, that the "
             "camera's trigger reaches them, and that ambient light is low"
         )
-    smooth = gaussian_filter1d(light, 1.5, mode="nearest" if bins.period_ns is None else "wrap")
-    shift = _train_shift(smooth, instrument, bins, distance=distance)
-    return tuple(
-        PulseWindow(band, *_grow(smooth, peak, bins))
-        for band, peak in _pulse_peaks(smooth, instrument, bins, distance=distance, shift=shift)
+    ends = "nearest" if bins.period_ns is None else "wrap"
+    smooth = gaussian_filter1d(light, SMOOTHING_BINS, mode=ends)
+    # of the smoothed counts: a Gaussian averages over 2 √π σ bins
+    noise = np.sqrt(
+        gaussian_filter1d(np.asarray(pooled, np.float64), SMOOTHING_BINS, mode=ends)
+        / (2 * np.sqrt(np.pi) * SMOOTHING_BINS)
     )
+    shift = _train_shift(smooth, instrument, bins, distance=distance)
+    visible = np.where(smooth > NOISE_MARGIN * noise, smooth, 0.0)
+    peaks = _pulse_peaks(visible, instrument, bins, distance=distance, shift=shift)
+    return _parted([PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins)
 
 
 def _train_shift(
@@ -119,7 +126,9 @@ def _pulse_peaks(
             if bins.period_ns is None:
                 near = near[(near >= 0) & (near < bins.count)]
             found = near[np.argmax(light[near % bins.count])] if near.size else middle
-            if not near.size or light[found % bins.count] <= 0:
+            # highest where the search ends, it is only a neighbour's foot
+            foot = reach > 0 and near.size > 2 and found in (near[0], near[-1])
+            if not near.size or light[found % bins.count] <= 0 or foot:
                 raise CalibrationError(
                     f"the reference shows no light of band {instrument.bands[band].name!r} near "
                     f"{time_ns:.0f} ns: check that LED and its delay in the instrument"
@@ -153,6 +162,25 @@ def _grow(light: NDArray[np.float64], peak: int, bins: TimeBins) -> tuple[int, i
             here = beyond
 
     return walk(-1), walk(+1) + 1
+
+
+def _parted(windows: list[PulseWindow], bins: TimeBins) -> tuple[PulseWindow, ...]:
+    """The windows, where two overlap cut in the middle of what both claim."""
+    order = sorted(range(len(windows)), key=lambda i: windows[i].start)
+    parted = list(windows)
+    circular = bins.period_ns is not None
+    for place, index in enumerate(order):
+        last = place == len(order) - 1
+        following = order[0] if last else order[place + 1]
+        if following == index or (last and not circular):
+            continue
+        turn = bins.count if last else 0
+        mine, its = parted[index], parted[following]
+        if (overlap := mine.stop - (its.start + turn)) > 0:
+            cut = mine.stop - overlap // 2
+            parted[index] = replace(mine, stop=cut)
+            parted[following] = replace(its, start=cut - turn)
+    return tuple(parted)
 
 
 def window_sums(

@@ -1,0 +1,60 @@
+"""Small instruments and photons drawn from continuous-time pulses, for all host tests."""
+
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hueflight as hf
+from hueflight.reconstruction.bounds import expected_shares
+
+Draw = Callable[..., NDArray[np.uint32]]
+
+
+@pytest.fixture(scope="session")
+def small() -> Callable[..., hf.Instrument]:
+    """Function that cuts a preset down to a few pixels: small("paper", rows=4, cols=5)."""
+
+    def cut(preset: str = "paper", *, rows: int = 8, cols: int = 8, **sensor: Any) -> hf.Instrument:
+        instrument = hf.Instrument.load(preset)
+        smaller = msgspec.structs.replace(instrument.sensor, rows=rows, cols=cols, **sensor)
+        return instrument.replace(sensor=smaller, lens=None)
+
+    return cut
+
+
+@pytest.fixture(scope="session")
+def draw() -> Draw:
+    """Function that draws counts (row, col, code) from the instrument's pulses themselves.
+
+    Every pixel sees the same: `photons` of signal and `background` photons expected in all,
+    `reflectance` per band, at `depth`; code 0 fills up to `frames`.
+    """
+
+    def counts(
+        instrument: hf.Instrument,
+        *,
+        depth: float = 0.5,
+        photons: float = 1000.0,
+        reflectance: Any = 1.0,
+        background: float = 0.0,
+        frames: int = 1_000_000,
+        seed: int = 0,
+    ) -> NDArray[np.uint32]:
+        shares, _, widths = expected_shares(instrument, depth)
+        amplitudes = instrument.band_brightness() * reflectance
+        total = amplitudes.sum()
+        amplitudes = amplitudes * (photons / total if total else 0.0)
+        bins = instrument.time_bins()
+        mean = amplitudes @ shares + background * widths
+        drawn = np.random.default_rng(seed).poisson(mean, (*instrument.image_shape, bins.count))
+        histogram = np.zeros(instrument.histogram_shape, np.uint32)
+        histogram[..., bins.codes] = drawn
+        if instrument.sensor.reports_empty:
+            histogram[..., 0] = np.maximum(frames - drawn.sum(axis=-1), 0)
+        return histogram
+
+    return counts

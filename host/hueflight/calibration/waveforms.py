@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import nnls
 
 from hueflight.calibration.templates import Templates, circle_of, fit_waveform
+from hueflight.calibration.train import fit_train
 from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError
 from hueflight.instrument import Instrument
@@ -104,7 +105,7 @@ def templates_from_train(
         name = instrument.bands[0].name
         fitted = _fit(pool, background, list(windows), bins, knots, name)
         return Templates.normalized(fitted, circle_of(bins))
-    pulses, level = _fit_train(pool, windows, instrument, bins)
+    pulses, level = fit_train(pool.aligned(pool.counts, bins), windows, instrument, bins)
     coefficients = []
     for band in range(len(instrument.bands)):
         mine = [window for window in windows if window.band == band]
@@ -235,60 +236,6 @@ def _support(
     time_ns = np.arange(knots) * (circle_of(bins) / knots)
     nearest = np.clip(np.searchsorted(bins.edges_ns, time_ns, side="right") - 1, 0, bins.count - 1)
     return inside[nearest] & (time_ns <= bins.edges_ns[-1])
-
-
-def _fit_train(
-    pool: Pool, windows: tuple[PulseWindow, ...], instrument: Instrument, bins: TimeBins
-) -> tuple[list[tuple[int, Pulse]], float]:
-    """Exponentially modified Gaussians, as (band, pulse), and background per ns of a train."""
-    counts = pool.aligned(pool.counts, bins)
-    order = [window.band for window in windows]
-    first = {band: instrument.pulses(band)[0] for band in order}
-    centers = np.array([_center_of_mass(counts, window, bins) for window in windows]) - np.array(
-        [first[band].tail_ns for band in order]
-    )
-    areas = np.array(
-        [counts[np.arange(window.start, window.stop) % bins.count].sum() for window in windows]
-    )
-    sigmas = np.array([first[band].sigma_ns for band in order])
-    tails = np.array([max(first[band].tail_ns, 0.3 * first[band].sigma_ns) for band in order])
-    areas = np.maximum(areas, 1e-3 * counts.sum())
-    dark = max(float(np.quantile(counts / bins.widths_ns, 0.05)), 1e-6 * areas.max())
-    size = len(order)
-    # times in units of sigma, all else in logarithms, within what a real pulse may do
-    reach = np.concatenate([np.full(size, 3.0), np.full(3 * size, 2.5), [5.0]])
-    scale = 1 / np.sqrt(np.maximum(counts, 1.0))
-
-    def unpack(steps: NDArray[np.float64]) -> tuple[list[Pulse], float]:
-        shift, sigma, tail, area = steps[:-1].reshape(4, -1)
-        pulses = [
-            Pulse(*map(float, parameters))
-            for parameters in zip(
-                centers + shift * sigmas,
-                sigmas * np.exp(sigma),
-                tails * np.exp(tail),
-                areas * np.exp(area),
-                strict=True,
-            )
-        ]
-        return pulses, dark * float(np.exp(steps[-1]))
-
-    def residual(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-        pulses, level = unpack(steps)
-        shares = [pulse.share(bins.edges_ns, bins.period_ns) for pulse in pulses]
-        return (np.sum(shares, axis=0) + level * bins.widths_ns - counts) * scale
-
-    found = least_squares(residual, np.zeros(reach.size), bounds=(-reach, reach), max_nfev=40).x
-    pulses, level = unpack(found)
-    return list(zip(order, pulses, strict=True)), level
-
-
-def _center_of_mass(counts: NDArray[np.float64], window: PulseWindow, bins: TimeBins) -> float:
-    index = np.arange(window.start, window.stop)
-    turns, place = np.divmod(index, bins.count)
-    time_ns = bins.centers_ns[place] + turns * bins.span_ns
-    weight = counts[place]
-    return float((weight * time_ns).sum() / max(weight.sum(), 1e-300))
 
 
 def _proportion(

@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import os
 
 import numpy as np
 import pytest
@@ -62,7 +61,7 @@ def test_a_taken_name_is_kept_unless_told_otherwise(calibration, saved):
     moved = dataclasses.replace(calibration, distance=0.7)
     moved.save(saved, overwrite=True)
     assert hf.Calibration.load(saved).distance == 0.7
-    assert os.listdir(saved.parent) == [saved.name]
+    assert list(saved.parent.iterdir()) == [saved]
 
 
 def test_a_failed_write_leaves_nothing_under_the_name(calibration, tmp_path, monkeypatch):
@@ -72,7 +71,7 @@ def test_a_failed_write_leaves_nothing_under_the_name(calibration, tmp_path, mon
     monkeypatch.setattr(zarr.Group, "create_array", full_disk)
     with pytest.raises(CalibrationError, match="No space left"):
         calibration.save(tmp_path / "cal.zarr")
-    assert os.listdir(tmp_path) == []
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_failed_overwrite_keeps_the_old_one(calibration, saved, monkeypatch):
@@ -129,7 +128,7 @@ def test_an_edited_instrument(saved, calibration):
 
 
 def test_a_missing_array(saved):
-    os.remove(saved / "gain" / "zarr.json")
+    (saved / "gain" / "zarr.json").unlink()
     with pytest.raises(CalibrationError, match="is damaged"):
         hf.Calibration.load(saved)
 

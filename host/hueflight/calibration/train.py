@@ -1,0 +1,114 @@
+"""A train of pulse models laid over a reference, to share out light where pulses overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from hueflight.calibration.windows import PulseWindow
+from hueflight.instrument import Instrument
+from hueflight.pulses import Pulse
+from hueflight.timebins import TimeBins
+
+STEP = 1e-5  #: of the numerical derivative, in the fit's own units
+MOST_EVALUATIONS = 25
+
+
+@dataclass(frozen=True)
+class _Start:
+    """First guess of every pulse; the fit's parameters are changes from it.
+
+    Times change in units of sigma, all else in logarithms, so that all are of like size.
+    """
+
+    center_ns: NDArray[np.float64]
+    sigma_ns: NDArray[np.float64]
+    tail_ns: NDArray[np.float64]
+    area: NDArray[np.float64]
+    dark: float
+
+    def pulse(self, index: int, change: NDArray[np.float64]) -> Pulse:
+        """Pulse `index` after a change (shift, sigma, tail, area)."""
+        shift, sigma, tail, area = change
+        return Pulse(
+            center_ns=float(self.center_ns[index] + shift * self.sigma_ns[index]),
+            sigma_ns=float(self.sigma_ns[index] * np.exp(sigma)),
+            tail_ns=float(self.tail_ns[index] * np.exp(tail)),
+            area=float(self.area[index] * np.exp(area)),
+        )
+
+
+def fit_train(
+    counts: NDArray[np.float64],
+    windows: tuple[PulseWindow, ...],
+    instrument: Instrument,
+    bins: TimeBins,
+) -> tuple[list[tuple[int, Pulse]], float]:
+    """Exponentially modified Gaussians, as (band, pulse), and background per ns of a train.
+
+    Parameters
+    ----------
+    counts : (bin,) in time order.
+    windows : one for each pulse.
+    """
+    start = _first_guess(counts, windows, instrument, bins)
+    size = len(windows)
+    scale = 1 / np.sqrt(np.maximum(counts, 1.0))
+
+    def share(index: int, change: NDArray[np.float64]) -> NDArray[np.float64]:
+        return start.pulse(index, change).share(bins.edges_ns, bins.period_ns)
+
+    def residual(changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        pulses = sum(share(i, change) for i, change in enumerate(changes[:-1].reshape(size, 4)))
+        return (pulses + start.dark * np.exp(changes[-1]) * bins.widths_ns - counts) * scale
+
+    def jacobian(changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        slopes = np.empty((counts.size, changes.size))
+        for i, change in enumerate(changes[:-1].reshape(size, 4)):
+            here = share(i, change)
+            for j in range(4):
+                slopes[:, 4 * i + j] = (share(i, change + STEP * np.eye(4)[j]) - here) / STEP
+        slopes[:, -1] = start.dark * np.exp(changes[-1]) * bins.widths_ns
+        return slopes * scale[:, None]
+
+    # within what a real pulse may do
+    reach = np.append(np.tile([3.0, 2.5, 2.5, 2.5], size), 5.0)
+    found = least_squares(
+        residual,
+        np.zeros(reach.size),
+        jac=jacobian,
+        bounds=(-reach, reach),
+        xtol=1e-5,
+        max_nfev=MOST_EVALUATIONS,
+    ).x
+    pulses = [start.pulse(i, change) for i, change in enumerate(found[:-1].reshape(size, 4))]
+    bands = [window.band for window in windows]
+    return list(zip(bands, pulses, strict=True)), start.dark * float(np.exp(found[-1]))
+
+
+def _first_guess(
+    counts: NDArray[np.float64],
+    windows: tuple[PulseWindow, ...],
+    instrument: Instrument,
+    bins: TimeBins,
+) -> _Start:
+    """Centres and areas from the windows, shapes from the instrument."""
+    shapes = [instrument.pulses(window.band)[0] for window in windows]
+    tail_ns = np.array([shape.tail_ns for shape in shapes])
+    sigma_ns = np.array([shape.sigma_ns for shape in shapes])
+    mass, moment = np.empty(len(windows)), np.empty(len(windows))
+    for index, window in enumerate(windows):
+        turns, place = np.divmod(np.arange(window.start, window.stop), bins.count)
+        mass[index] = counts[place].sum()
+        moment[index] = counts[place] @ (bins.centers_ns[place] + turns * bins.span_ns)
+    area = np.maximum(mass, 1e-3 * counts.sum())
+    return _Start(
+        center_ns=moment / np.maximum(mass, 1e-300) - tail_ns,
+        sigma_ns=sigma_ns,
+        tail_ns=np.maximum(tail_ns, 0.3 * sigma_ns),  # none at all would have no derivative
+        area=area,
+        dark=max(float(np.quantile(counts / bins.widths_ns, 0.05)), 1e-6 * area.max()),
+    )

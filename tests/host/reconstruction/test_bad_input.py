@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+
+import hueflight as hf
+from hueflight.errors import HistogramError
+
+
+@pytest.fixture(scope="module")
+def instrument(small):
+    return small(rows=6, cols=5)
+
+
+@pytest.fixture(scope="module")
+def calibration(instrument, draw):
+    return hf.calibrate(draw(instrument), instrument, distance=0.5)
+
+
+@pytest.mark.parametrize(
+    ("shape", "advice"),
+    [
+        ((5, 6, 512), "transpose"),
+        ((512, 6, 5), "transpose"),
+        ((6, 5, 256), "number of codes differs"),
+        ((192, 128, 512), "number of pixels differs"),
+        ((512,), "belongs to this instrument"),
+    ],
+)
+def test_shapes(calibration, shape, advice):
+    with pytest.raises(HistogramError, match=r"\(row, col, code\) = \(6, 5, 512\)") as caught:
+        hf.reconstruct(np.ones(shape, np.uint16), calibration)
+    assert advice in str(caught.value)
+
+
+def test_nothing_counted(calibration):
+    with pytest.raises(HistogramError, match="is empty: not one frame"):
+        hf.reconstruct(np.zeros((6, 5, 512), np.uint32), calibration)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [(np.nan, r"\(1, 2, 3\)\] is nan"), (np.inf, "is inf"), (-1.0, "can't be negative")],
+)
+def test_values(calibration, draw, instrument, value, message):
+    counts = draw(instrument).astype(float)
+    counts[1, 2, 3] = value
+    with pytest.raises(HistogramError, match=message):
+        hf.reconstruct(counts, calibration)
+
+
+@pytest.mark.parametrize("dtype", [complex, bool, "U4", object])
+def test_types(calibration, draw, instrument, dtype):
+    with pytest.raises(HistogramError, match="counts must be numbers"):
+        hf.reconstruct(draw(instrument).astype(dtype), calibration)
+
+
+def test_method(calibration, draw, instrument):
+    with pytest.raises(HistogramError, match="method = 'best': choose one of"):
+        hf.reconstruct(draw(instrument), calibration, method="best")
+
+
+@pytest.mark.parametrize("frames", [0, -3, np.nan, np.inf])
+def test_frames(calibration, draw, instrument, frames):
+    with pytest.raises(HistogramError, match="must be above 0 and finite"):
+        hf.reconstruct(draw(instrument), calibration, frames=frames)

@@ -15,7 +15,7 @@ WAVELENGTH_NM = np.arange(300.0, 1701.0, 2.0)  #: grid of every spectrum here, n
 
 # Reflectances are smooth over some nanometres, so a narrower line sees the same; the grid must
 # still resolve it.
-_NARROWEST_LINE_NM = 6.0
+_NARROWEST_LINE_NM = 4.0
 
 Spectrum = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 

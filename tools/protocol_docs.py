@@ -14,12 +14,12 @@ from enum import IntEnum, IntFlag
 from pathlib import Path
 
 import numpy as np
-from vector_stream import random_codes
 
 import hueflight_protocol as hp
 from hueflight_protocol import control, wire
 from hueflight_protocol.layout import Layout
 from hueflight_protocol.registers import Field, Register, RegisterMap
+from vector_stream import random_codes
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 CELL = 10

@@ -34,8 +34,8 @@ def damages() -> Iterator[Vector]:
         ("header", 40, "P5"),
         ("header-check", 60, "P5"),
         ("chunk-word", 65, ""),
-        ("bitmap", 70, "P6"),
-        ("codes", 80, "P6"),
+        ("bitmap", 70, ""),
+        ("codes", 80, ""),
         ("end-word", -16, ""),
         ("crc", -4, "P6"),
     ):

@@ -82,6 +82,9 @@ class FrameHeader:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise ProtocolError(f"{name} = {value}: must be from {low} to {high}")
+        unknown = self.flags & ~sum(FrameFlags)
+        if unknown:
+            raise ProtocolError(f"flags = {self.flags:#x}: bits {unknown:#x} have no meaning")
         if self.run % RUN_MULTIPLE:
             raise ProtocolError(f"run = {self.run}: must be a multiple of {RUN_MULTIPLE}")
         if self.chunks > MAX_CHUNKS:

@@ -149,7 +149,8 @@ class Register:
             raise RegisterError(f"register {self.name}: {shift} bits in {self.words} words")
         if len(self.count) != len(self.strides):
             raise RegisterError(
-                f"register {self.name}: {self.count} elements, {self.strides} apart"
+                f"register {self.name}: count {self.count} and strides {self.strides} "
+                "must be equally many"
             )
         object.__setattr__(self, "fields", placed)
 

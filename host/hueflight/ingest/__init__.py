@@ -1,0 +1,6 @@
+"""Ingest: packets from the camera to histograms, at the rate of the sensor chip."""
+
+from hueflight.ingest.accumulate import accumulate, accumulate_by_step, accumulate_codes
+from hueflight.ingest.report import IngestReport
+
+__all__ = ["IngestReport", "accumulate", "accumulate_by_step", "accumulate_codes"]

@@ -1,0 +1,328 @@
+/* count: codes of a block of frames into histograms, a tile of pixels at a time.
+ *
+ * Counting frame by frame scatters into a table that no cache holds. Here the counters of 64
+ * pixels stay in the cache while all frames of a block pass by, and go to the table once. */
+enum {
+    TILE = 64,    /* pixels counted at a time */
+    SPARE = 32,   /* counters between two pixels': powers of two collide in the cache's sets */
+    AHEAD = 8,    /* frames fetched ahead */
+    SLACK = 8,    /* bytes that may be read behind a payload: its packet's trailer is longer */
+    MOST_FRAMES = 65535 /* what a tile's counters hold */
+};
+enum { ADD, STORE, SATURATE, SUBTRACT };
+
+typedef struct { const uint8_t *bits, *codes; uint16_t hits, used; } Sparse;
+typedef struct { const uint8_t *codes; uint64_t map; uint32_t at, hits; } Piece; /* in one tile */
+
+typedef struct Count Count;
+struct Count {
+    const uint8_t *data;
+    size_t size;
+    unsigned pixels, code_bits, run;
+    const uint64_t *chunks;
+    size_t stride;
+    const uint32_t *chosen; /* frames to count, places in `chunks` */
+    size_t frames;
+    void *out; /* (pixel, code) of uint16 or uint32 */
+    int wide;
+    int mode, check; /* check: leave a tile alone if one of its counters would not hold the sum */
+    uint8_t *done;   /* (tile,): tiles whose counts are in `out`; others only are added */
+    uint16_t *tile;
+    const uint8_t **dense;
+    Sparse *sparse;
+    Piece *found, *sorted;
+    size_t dense_count, sparse_count;
+    uint64_t photons, clipped;
+    size_t pending;
+    void (*put)(Count *, size_t first, unsigned pixels, int touched, uint8_t *done);
+};
+
+/* The codes from bit `at` of p on, as many as one load gives. */
+INLINE uint64_t codes_at(const uint8_t *p, size_t at) { return load64(p + (at >> 3)) >> (at & 7); }
+
+/* Count a tile of `pixels` codes, packed without gaps. */
+INLINE void count_dense(uint16_t *tile, const uint8_t *p, unsigned pixels, const unsigned bits)
+{
+    const size_t stride = ((size_t)1 << bits) + SPARE, mask = ((size_t)1 << bits) - 1;
+    /* Eight codes are `bits` bytes: the first codes come from the load at their start, the others
+     * from the load that ends with them. */
+    const unsigned behind = bits > 8 ? bits - 8 : 0;
+#define CODE(j) ((((j) + 1) * bits <= 64 ? a >> (j) * bits : b >> ((j) * bits - 8 * behind)) & mask)
+    for (unsigned group = pixels / 8; group; group--, p += bits, tile += 8 * stride) {
+        uint64_t a = load64(p), b = load64(p + behind);
+        tile[CODE(0)]++;
+        tile[CODE(1) + stride]++;
+        tile[CODE(2) + 2 * stride]++;
+        tile[CODE(3) + 3 * stride]++;
+        tile[CODE(4) + 4 * stride]++;
+        tile[CODE(5) + 5 * stride]++;
+        tile[CODE(6) + 6 * stride]++;
+        tile[CODE(7) + 7 * stride]++;
+    }
+#undef CODE
+    for (unsigned i = 0; i < pixels % 8; i++, tile += stride)
+        tile[codes_at(p, (size_t)i * bits) & mask]++;
+}
+
+/* Count `hits` hits of a tile: the ones of `map` are its pixels with a photon, their codes are
+ * packed from bit `at` of p on. */
+INLINE void count_sparse(uint16_t *tile, uint64_t map, const uint8_t *p, size_t at, unsigned hits,
+                         const unsigned bits)
+{
+    const size_t stride = ((size_t)1 << bits) + SPARE, mask = ((size_t)1 << bits) - 1;
+    const unsigned per_load = 57 / bits < 8 ? 57 / bits : 8; /* up to 7 bits are codes before */
+    uint64_t codes;
+    for (; hits >= per_load; hits -= per_load, at += per_load * bits) {
+        codes = codes_at(p, at);
+#pragma GCC unroll 8
+        for (unsigned i = 0; i < per_load; i++, map &= map - 1)
+            tile[LOWEST_BIT(map) * stride + (codes >> i * bits & mask)]++;
+    }
+    if (!hits)
+        return;
+    codes = codes_at(p, at);
+    for (; hits; hits--, map &= map - 1, codes >>= bits)
+        tile[LOWEST_BIT(map) * stride + (codes & mask)]++;
+}
+
+/* What happens to a pixel's row of the table, given the tile's counters of that pixel and the
+ * frames without a code: those go to code 0, where the camera's "no photon" and the codes that it
+ * did not send belong. The tile itself is not written: reading it again would have to wait until
+ * all writes to the table have gone through. For both widths of the table's counters. */
+#define DEFINE_ROWS(word, largest) \
+INLINE int over_##word(const word *row, const uint16_t *seen, size_t used, uint16_t rest) \
+{ \
+    word over = (word)(row[0] + rest) < row[0]; \
+    for (size_t code = 0; code < used; code++) \
+        over |= (word)(row[code] + seen[code]) < row[code]; \
+    return over != 0; \
+} \
+INLINE uint64_t put_##word(word *row, const uint16_t *seen, size_t used, size_t codes, \
+                           uint16_t rest, int mode) \
+{ \
+    uint64_t clipped = 0; \
+    const word first = row[0]; \
+    if (mode == STORE) { \
+        for (size_t code = 0; code < used; code++) \
+            row[code] = seen[code]; \
+        for (size_t code = used; code < codes; code++) \
+            row[code] = 0; \
+        row[0] = rest; \
+    } else if (mode == ADD) { \
+        for (size_t code = 0; code < used; code++) \
+            row[code] = (word)(row[code] + seen[code]); \
+        row[0] = (word)(first + rest); \
+    } else if (mode == SUBTRACT) { \
+        for (size_t code = 0; code < used; code++) \
+            row[code] = (word)(row[code] - seen[code]); \
+        row[0] = (word)(first - rest); \
+    } else \
+        for (size_t code = 0; code < used; code++) { \
+            uint16_t more = code ? seen[code] : rest; \
+            word room = (word)(largest - row[code]); \
+            word taken = more < room ? (word)more : room; \
+            clipped += (uint64_t)(more - taken); \
+            row[code] = (word)(row[code] + taken); \
+        } \
+    return clipped; \
+}
+DEFINE_ROWS(uint16_t, UINT16_MAX)
+DEFINE_ROWS(uint32_t, UINT32_MAX)
+
+/* Photons of a pixel: all counts but code 0. Exact, since a tile sees at most 65 535 frames. */
+INLINE uint16_t row_photons(const uint16_t *seen, size_t used)
+{
+    uint16_t sum = 0;
+    for (size_t code = 0; code < used; code++)
+        sum = (uint16_t)(sum + seen[code]);
+    return (uint16_t)(sum - seen[0]);
+}
+
+/* Add a tile to the table and clear it. */
+INLINE void put_tile(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
+{
+    const size_t codes = (size_t)1 << count->code_bits, stride = codes + SPARE;
+    const size_t used = touched ? codes : 1; /* counters that may differ from 0 */
+    uint16_t *row16 = (uint16_t *)count->out + first * codes, *seen = count->tile;
+    uint32_t *row32 = (uint32_t *)count->out + first * codes;
+    int put = (count->mode == SUBTRACT) == *done, over = 0;
+    if (put && count->check && count->mode == ADD)
+        for (unsigned pixel = 0; pixel < pixels; pixel++) {
+            const uint16_t *counts = seen + pixel * stride;
+            uint16_t rest = (uint16_t)(count->frames - row_photons(counts, used));
+            over |= count->wide ? over_uint32_t(row32 + pixel * codes, counts, used, rest)
+                                : over_uint16_t(row16 + pixel * codes, counts, used, rest);
+        }
+    count->pending += (size_t)over;
+    put &= !over;
+    for (unsigned pixel = 0; pixel < pixels; pixel++, seen += stride) {
+        if (put) {
+            uint16_t photons = row_photons(seen, used);
+            uint16_t rest = (uint16_t)(count->frames - photons);
+            count->photons += photons;
+            count->clipped += count->wide
+                ? put_uint32_t(row32 + pixel * codes, seen, used, codes, rest, count->mode)
+                : put_uint16_t(row16 + pixel * codes, seen, used, codes, rest, count->mode);
+        }
+        memset(seen, 0, used * sizeof *seen);
+    }
+    if (put)
+        *done = count->mode != SUBTRACT;
+}
+
+static void put_plain(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
+{
+    put_tile(count, first, pixels, touched, done);
+}
+#ifdef X86_DISPATCH
+__attribute__((target("avx2")))
+static void put_with_avx2(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
+{
+    put_tile(count, first, pixels, touched, done);
+}
+#endif
+
+/* Sort the frames' payloads of one chunk by kind. Entries are checked again: they come through
+ * Python, and the bytes may belong to a buffer that somebody writes to. */
+static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
+{
+    const uint64_t *entries = count->chunks + chunk * count->stride;
+    count->dense_count = count->sparse_count = 0;
+    for (size_t i = 0; i < count->frames; i++) {
+        uint64_t entry = entries[count->chosen[i]];
+        if (!entry)
+            continue;
+        size_t offset = (uint32_t)entry;
+        unsigned hits = (uint16_t)(entry >> 32), kind = (unsigned)(entry >> 48);
+        if (hits > shape->pixels || (kind != DENSE && kind != BITMAP)
+            || offset + payload_bytes(shape, hits, kind) + SLACK > count->size)
+            return 0;
+        const uint8_t *p = count->data + offset;
+        if (kind == DENSE)
+            count->dense[count->dense_count++] = p;
+        else
+            count->sparse[count->sparse_count++] =
+                (Sparse){p, p + (shape->pixels + 7) / 8, (uint16_t)hits, 0};
+    }
+    return 1;
+}
+
+INLINE void count_dense_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits)
+{
+    for (size_t i = 0; i < count->dense_count; i++) {
+        const uint8_t *p = count->dense[i] + at / 8 * bits;
+        if (i + AHEAD < count->dense_count) {
+            PREFETCH(count->dense[i + AHEAD] + at / 8 * bits);
+            PREFETCH(count->dense[i + AHEAD] + at / 8 * bits + 64);
+        }
+        count_dense(count->tile, p, pixels, bits);
+    }
+}
+
+/* Frames are taken in order of their hits in this tile: a loop whose length changes from frame to
+ * frame costs more in wrong guesses of the processor than in counting. */
+INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits)
+{
+    const uint64_t inside = pixels < TILE ? ((uint64_t)1 << pixels) - 1 : ~(uint64_t)0;
+    uint32_t place[TILE + 1] = {0};
+    unsigned total = 0;
+    for (size_t i = 0; i < count->sparse_count; i++) {
+        Sparse *sparse = &count->sparse[i];
+        uint64_t map = load64(sparse->bits + at / 8) & inside;
+        unsigned hits = POPCOUNT(map);
+        if (hits > (unsigned)(sparse->hits - sparse->used)) /* never more than the word says */
+            hits = (unsigned)(sparse->hits - sparse->used);
+        count->found[i] = (Piece){sparse->codes, map, sparse->used * bits, hits};
+        sparse->used = (uint16_t)(sparse->used + hits);
+        place[hits]++;
+        if (i + AHEAD < count->sparse_count)
+            PREFETCH(count->sparse[i + AHEAD].bits + at / 8);
+    }
+    for (unsigned hits = 0; hits <= TILE; hits++) {
+        uint32_t here = place[hits];
+        place[hits] = total;
+        total += here;
+    }
+    for (size_t i = 0; i < count->sparse_count; i++)
+        count->sorted[place[count->found[i].hits]++] = count->found[i];
+    for (size_t i = place[0]; i < count->sparse_count; i++) {
+        const Piece *piece = &count->sorted[i];
+        if (i + AHEAD < count->sparse_count)
+            PREFETCH(piece[AHEAD].codes + piece[AHEAD].at / 8);
+        count_sparse(count->tile, piece->map, piece->codes, piece->at, piece->hits, bits);
+    }
+    return (unsigned)(count->sparse_count - place[0]);
+}
+
+INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits)
+{
+    size_t first = chunk * count->run, left = count->pixels - first;
+    Shape shape = chunk_shape(left < count->run ? (unsigned)left : count->run, bits);
+    if (!sort_chunk(count, chunk, &shape))
+        return 0;
+    uint8_t *done = count->done + chunk * ((count->run + TILE - 1) / TILE);
+    for (unsigned at = 0; at < shape.pixels; at += TILE, done++) {
+        unsigned pixels = shape.pixels - at < TILE ? shape.pixels - at : TILE;
+        int touched = count->dense_count > 0;
+        if (pixels == TILE)
+            count_dense_tile(count, at, TILE, bits);
+        else
+            count_dense_tile(count, at, pixels, bits);
+        if (count->sparse_count)
+            touched |= count_sparse_tile(count, at, pixels, bits) > 0;
+        count->put(count, first + at, pixels, touched, done);
+    }
+    return 1;
+}
+
+INLINE int count_any(Count *count, size_t chunk)
+{
+    switch (count->code_bits) {
+#define X(n) case n: return count_chunk(count, chunk, n);
+    X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13) X(14) X(15) X(16)
+#undef X
+    }
+    return 0;
+}
+
+static int count_plain(Count *count, size_t chunk) { return count_any(count, chunk); }
+#ifdef X86_DISPATCH
+__attribute__((target("popcnt,bmi,bmi2")))
+static int count_with_bit_instructions(Count *count, size_t chunk)
+{
+    return count_any(count, chunk);
+}
+#endif
+
+enum { OK, NO_MEMORY, BAD_CHUNK };
+
+static int count_chunks(Count *count, size_t begin, size_t end)
+{
+    int (*one)(Count *, size_t) = count_plain;
+    count->put = put_plain;
+#ifdef X86_DISPATCH
+    if (has_bit_instructions)
+        one = count_with_bit_instructions;
+    if (has_avx2)
+        count->put = put_with_avx2;
+#endif
+    size_t room = count->frames ? count->frames : 1;
+    int result = NO_MEMORY;
+    count->tile = calloc(TILE * (((size_t)1 << count->code_bits) + SPARE), sizeof(uint16_t));
+    count->dense = malloc(room * sizeof *count->dense);
+    count->sparse = malloc(room * sizeof *count->sparse);
+    count->found = malloc(room * sizeof *count->found);
+    count->sorted = malloc(room * sizeof *count->sorted);
+    if (count->tile && count->dense && count->sparse && count->found && count->sorted) {
+        result = OK;
+        for (size_t chunk = begin; result == OK && chunk < end; chunk++)
+            if (!one(count, chunk))
+                result = BAD_CHUNK;
+    }
+    free(count->tile);
+    free(count->dense);
+    free(count->sparse);
+    free(count->found);
+    free(count->sorted);
+    return result;
+}

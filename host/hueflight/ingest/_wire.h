@@ -1,0 +1,43 @@
+/* The wire format, version 1, as numbers. kernels.py checks them against hueflight_protocol, whose
+ * declarations are their definition, each time the kernels are loaded. */
+#ifndef HUEFLIGHT_WIRE_H
+#define HUEFLIGHT_WIRE_H
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if defined(__x86_64__)
+#define X86_DISPATCH 1 /* variants for newer processors, chosen at run time */
+#include <nmmintrin.h>
+#endif
+
+#if !defined(__GNUC__) /* clang defines it too */
+#error "the kernels need gcc or clang; without them the NumPy twin is used"
+#endif
+#define INLINE static inline __attribute__((always_inline))
+#define PREFETCH(p) __builtin_prefetch(p)
+#define LOWEST_BIT(m) ((unsigned)__builtin_ctzll(m))
+#define POPCOUNT(m) ((unsigned)__builtin_popcountll(m))
+
+enum {
+    VERSION = 1, FRAME = 1, FRAME_HEADER = 64, OTHER_HEADER = 32, MAX_HEADER = 256,
+    FRAME_TRAILER = 16, OTHER_TRAILER = 8, LAST_KNOWN_TYPE = 5, MAX_BODY = 1 << 20,
+    MAX_SIDE = 1024, MAX_BITS = 16, MIN_RUN = 8, MAX_RUN = 4096, MAX_CHUNKS = 1 << 14,
+    KNOWN_FLAGS = 0x7f, PAD = 0, BITMAP = 1, DENSE = 2, END = 3,
+    AT_TYPE = 5, AT_HEADER_BYTES = 6, AT_LENGTH = 8, AT_SEQUENCE = 12, AT_TIMESTAMP = 16,
+    AT_FRAME = 24, AT_DROPPED = 36, AT_ROWS = 40, AT_COLS = 42, AT_RUN = 44, AT_CODE_BITS = 46,
+    AT_FLAGS = 48, AT_STEP = 50, AT_CAPTURE = 52
+};
+static const uint32_t MAGIC = 0x657548a7u;
+static const uint32_t STREAMED = 0xffffffffu;
+
+INLINE uint16_t load16(const uint8_t *p) { return (uint16_t)(p[0] | p[1] << 8); }
+INLINE uint32_t load32(const uint8_t *p)
+{
+    return p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
+}
+INLINE uint64_t load64(const uint8_t *p) { return load32(p) | (uint64_t)load32(p + 4) << 32; }
+
+static int has_crc_instruction, has_bit_instructions, has_avx2;
+
+#endif

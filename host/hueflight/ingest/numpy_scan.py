@@ -1,0 +1,357 @@
+"""Scanning in Python: the twin of ``_scan.h``, its oracle and its stand-in without a compiler.
+
+`scan` finds packets by the rules of `hueflight_protocol.PacketParser`, with the two exceptions
+that ``_scan.h`` states, and writes where each frame's chunks lie. Results are the same as the
+compiled kernel's, bit for bit, on any input.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import lru_cache
+from typing import Any
+
+import google_crc32c
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight_protocol import wire
+from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER, PACKET_HEADER, PACKET_TRAILER
+
+STATE = (
+    *("in_step", "has_sequence", "sequence", "has_dropped", "capture", "last_dropped"),
+    *("packets", "frames", "aborted", "repeated", "foreign", "damaged", "skipped_bytes"),
+    *("missing", "restarts", "dropped", "dropped_before", "hits"),
+    *("foreign_rows", "foreign_cols", "foreign_bits"),
+    *("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost"),
+)
+"""Names of what scanning carries on and adds up, in the order of the array `state`."""
+
+MOST_FRAMES = 65535  # what the 16-bit counters of a tile hold
+HITS_SHIFT, KIND_SHIFT = 32, 48  # an entry of the table of chunks: offset, hits, kind
+
+_PAD, _DENSE, _END = int(wire.ChunkKind.PAD), int(wire.ChunkKind.DENSE), int(wire.ChunkKind.END)
+_FLAGS = ("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost")
+_WRAP = 1 << 32
+
+
+class _MoreError(Exception):
+    """The packet at hand needs so many bytes."""
+
+    def __init__(self, needed: int) -> None:
+        self.needed = needed
+
+
+class _HeaderError(Exception):
+    """There is no packet's header here."""
+
+
+class _PacketError(Exception):
+    """There is a header, but the packet breaks a rule."""
+
+
+@lru_cache(maxsize=256)
+def _chunk_words(pixels: int, code_bits: int) -> tuple[int, list[int]]:
+    """Hits from which on a chunk is dense, and its length in words for any number of hits."""
+    dense_from = wire.dense_from(pixels, code_bits)
+    dense = 1 + wire.dense_bytes(pixels, code_bits) // 4
+    bitmaps = [1 + wire.bitmap_bytes(pixels, hits, code_bits) // 4 for hits in range(dense_from)]
+    return dense_from, bitmaps + [dense] * (pixels + 1 - dense_from)
+
+
+class _Stream:
+    """A piece of the stream, seen as bytes and as words at any byte."""
+
+    def __init__(self, data: Any) -> None:
+        self.octets = np.frombuffer(data, np.uint8)
+        self.view = memoryview(data)
+        self.size = len(self.view)
+        self._words: dict[int, memoryview] = {}
+
+    def words(self, at: int) -> tuple[memoryview, int]:
+        """A view of little-endian words, and where in it the byte `at` is."""
+        phase = at % 4
+        if phase not in self._words:
+            octets = self.view[phase : phase + (self.size - phase) // 4 * 4]
+            if sys.byteorder == "big":
+                octets = memoryview(np.frombuffer(octets, "<u4").astype("=u4").tobytes())
+            self._words[phase] = octets.cast("I")
+        return self._words[phase], at // 4
+
+    def find(self, pattern: bytes, at: int) -> int:
+        """First place of `pattern` from `at` on, or of its start that the end cuts."""
+        step = 1 << 16  # searched in pieces, so that damage in a large buffer stays cheap
+        while at < self.size:
+            piece = bytes(self.view[at : at + step + len(pattern) - 1])
+            found = piece.find(pattern)
+            if found >= 0:
+                return at + found
+            if at + len(piece) >= self.size:
+                cut = (n for n in range(len(pattern) - 1, 0, -1) if piece.endswith(pattern[:n]))
+                return self.size - next(cut, 0)
+            at += step
+        return self.size
+
+    def crc(self, start: int, stop: int) -> int:
+        """CRC-32C of some bytes."""
+        return google_crc32c.value(self.octets[start:stop])
+
+
+def _header_bytes(stream: _Stream, at: int) -> int:
+    """Check the header at `at`; return its size."""
+    left = stream.size - at
+    if left < 8:
+        raise _MoreError(8)
+    kind, size = stream.view[at + 5], int.from_bytes(stream.view[at + 6 : at + 8], "little")
+    due = FRAME_HEADER.size if kind == wire.PacketType.FRAME else PACKET_HEADER.size
+    known = 1 <= kind <= max(wire.PacketType)
+    if (
+        stream.view[at + 4] != wire.VERSION
+        or (known and size != due)
+        or size % wire.ALIGNMENT
+        or not PACKET_HEADER.size <= size <= wire.MAX_HEADER_BYTES
+    ):
+        raise _HeaderError
+    if left < size:
+        raise _MoreError(size)
+    words, first = stream.words(at)
+    check = 0
+    for word in words[first : first + size // 4]:
+        check ^= word
+    if check:
+        raise _HeaderError
+    return size
+
+
+def _check_frame(head: dict[str, int]) -> None:
+    pixels, run = head["rows"] * head["cols"], head["run"]
+    if (
+        head["length"] != wire.STREAMED
+        or not 1 <= head["rows"] <= wire.MAX_ROWS
+        or not 1 <= head["cols"] <= wire.MAX_COLS
+        or not 1 <= head["code_bits"] <= wire.MAX_CODE_BITS
+        or run % wire.RUN_MULTIPLE
+        or not wire.MIN_RUN <= run <= wire.MAX_RUN
+        or pixels > run * wire.MAX_CHUNKS
+        or head["flags"] & ~sum(wire.FrameFlags)
+    ):
+        raise _PacketError
+
+
+def _walk(stream: _Stream, at: int, head: dict[str, int]) -> tuple[int, list[int], list[int]]:
+    """Walk the chunks of the frame at `at`; return its size, chunk indices and table entries."""
+    _check_frame(head)
+    pixels, run, code_bits = head["rows"] * head["cols"], head["run"], head["code_bits"]
+    count = -(-pixels // run)
+    inner, last = _chunk_words(run, code_bits), _chunk_words(pixels - (count - 1) * run, code_bits)
+    words, first = stream.words(at)
+    end = first + (stream.size - at) // 4
+    place, total, previous = first + FRAME_HEADER.size // 4, 0, -1
+    indices: list[int] = []
+    entries: list[int] = []
+    base = at - 4 * first
+    while True:
+        if place >= end:
+            raise _MoreError(4 * (place - first) + 4)
+        word = words[place]
+        kind, index, hits = word & 3, word >> 2 & 0x3FFF, word >> 16
+        if kind == _END:
+            break
+        if kind == _PAD:
+            if word or (place - first) % 2 == 0:
+                raise _PacketError
+            if place + 1 >= end:
+                raise _MoreError(4 * (place - first) + 8)
+            if words[place + 1] & 3 != _END:
+                raise _PacketError
+            place += 1
+            continue
+        if not previous < index < count:
+            raise _PacketError
+        dense_from, lengths = inner if index < count - 1 else last
+        if not 1 <= hits < len(lengths) or (hits >= dense_from) != (kind == _DENSE):
+            raise _PacketError
+        indices.append(index)
+        entries.append(base + 4 * place + 4 | hits << HITS_SHIFT | kind << KIND_SHIFT)
+        previous, total, place = index, total + hits, place + lengths[hits]
+    size = 4 * (place - first) + FRAME_TRAILER.size
+    if at + size > stream.size:
+        raise _MoreError(size)
+    word, announced, packet_words, crc = words[place : place + 4]
+    if (
+        (place - first) % 2
+        or (word >> 2 & 0x3FFF) > 1
+        or word >> 16 != len(indices)
+        or announced != total
+        or packet_words != size // 4
+        or crc != stream.crc(at, at + size - 4)
+    ):
+        raise _PacketError
+    return size, indices, entries
+
+
+def _other_bytes(stream: _Stream, at: int, header: int) -> int:
+    """Check the packet at `at`, which is not a frame; return its size."""
+    length = int.from_bytes(stream.view[at + 8 : at + 12], "little")
+    if length > wire.MAX_BODY_BYTES:
+        raise _PacketError
+    body_end = at + header + length
+    size = header + wire.padded(length, wire.ALIGNMENT) + PACKET_TRAILER.size
+    if at + size > stream.size:
+        raise _MoreError(size)
+    trailer = PACKET_TRAILER.unpack(stream.view, at + size - PACKET_TRAILER.size)
+    if (
+        stream.octets[body_end : at + size - PACKET_TRAILER.size].any()
+        or trailer["packet_words"] != size // 4
+        or trailer["crc"] != stream.crc(at, at + size - 4)
+    ):
+        raise _PacketError
+    return size
+
+
+def _book_sequence(state: dict[str, int], sequence: int) -> bool:
+    """Book a sequence number; return whether the packet is new, not the last one again."""
+    gap = (sequence - state["sequence"] - 1) % _WRAP
+    first, state["has_sequence"], state["sequence"] = not state["has_sequence"], 1, sequence
+    if first:
+        return True
+    if gap == _WRAP - 1:
+        state["repeated"] += 1
+        return False
+    if gap < _WRAP // 2:
+        state["missing"] += gap
+    else:
+        state["restarts"] += 1
+    return True
+
+
+def _book_frame(state: dict[str, int], head: dict[str, int], aborted: bool, ours: bool) -> bool:
+    """Book a frame's header; return whether its codes count."""
+    capture, dropped = head["capture"], head["dropped"]
+    if not state["has_dropped"]:
+        state["dropped_before"] = dropped
+    elif capture == state["capture"] and dropped >= state["last_dropped"]:
+        state["dropped"] += dropped - state["last_dropped"]
+    else:
+        state["dropped"] += dropped
+    state |= {"has_dropped": 1, "capture": capture, "last_dropped": dropped}
+    if aborted:
+        state["aborted"] += 1
+        return False
+    if not ours:
+        state["foreign"] += 1
+        for field, name in (("rows", "rows"), ("cols", "cols"), ("code_bits", "bits")):
+            state[f"foreign_{name}"] = head[field]
+        return False
+    for bit, name in enumerate(_FLAGS):
+        state[name] += head["flags"] >> bit & 1
+    state["frames"] += 1
+    return True
+
+
+def scan(
+    data: Any,
+    start: int,
+    final: bool,
+    rows: int,
+    cols: int,
+    code_bits: int,
+    frames: int,
+    limit: int,
+    run: int,
+    state: NDArray[np.int64],
+    chunks: NDArray[np.uint64],
+    headers: NDArray[np.uint8],
+    places: NDArray[np.uint64],
+    others: NDArray[np.uint64],
+    /,
+) -> tuple[int, int, int, int, int, int, bool]:
+    """Find the packets of `data` from `start` on; see `kernels.Scanned` for what is returned.
+
+    Parameters
+    ----------
+    data : bytes-like, less than 4 GiB.
+    final : bool
+        Whether the stream ends with `data`: what is cut short by the end is damage then.
+    rows, cols, code_bits : int
+        Frames of this geometry go to the tables, others are counted as foreign.
+    frames, run : int
+        Frames that the tables hold already, and their run length (0 = none yet).
+    limit : int
+        Most frames that the tables are to hold.
+    state : int64 array (len(STATE),), changed.
+    chunks : uint64 array, changed: seen as (chunk, frame), an entry for each chunk that is there.
+    headers : uint8 array (limit, 64), changed: the frames' headers.
+    places : uint64 array (limit, 2), changed: the frames' offsets and sizes.
+    others : uint64 array (n, 2), changed: offsets and sizes of packets that are not frames.
+    """
+    stream = _Stream(data)
+    book = dict(zip(STATE, state.tolist(), strict=True))
+    pixels, at, found_others = rows * cols, start, 0
+    stride = chunks.size // -(-pixels // run) if run else 0
+
+    def result(needed: int, ended: bool) -> tuple[int, int, int, int, int, int, bool]:
+        state[:] = list(book.values())
+        return at, frames, found_others, run, stride, needed, ended
+
+    while not (frames and frames in (limit, stride)) and found_others < len(others):
+        found = stream.find(wire.MAGIC, at)
+        if found > at:
+            book["skipped_bytes"] += found - at
+            book["in_step"] = 0
+            at = found
+        if stream.size - at < len(wire.MAGIC):
+            if final:
+                book["skipped_bytes"] += stream.size - at
+                book["in_step"] = 1
+                at = stream.size
+            return result(8, True)
+        head: dict[str, int] = {}
+        ours = False
+        indices: list[int] = []
+        entries: list[int] = []
+        try:
+            size = _header_bytes(stream, at)
+            if stream.view[at + 5] == wire.PacketType.FRAME:
+                head = FRAME_HEADER.unpack(stream.view, at)
+                here = head["run"]
+                ours = (head["rows"], head["cols"], head["code_bits"]) == (rows, cols, code_bits)
+                ours &= here > 0 and here % 8 == 0 and -(-pixels // max(here, 1)) <= chunks.size
+                if ours and here != run:
+                    if frames:
+                        return result(0, False)
+                    run, stride = here, chunks.size // -(-pixels // here)
+                size, indices, entries = _walk(stream, at, head)
+            else:
+                size = _other_bytes(stream, at, size)
+        except (_MoreError, _HeaderError, _PacketError) as trouble:
+            if isinstance(trouble, _MoreError) and not final:
+                return result(trouble.needed, True)
+            # a magic where no packet is due is data unless its header holds
+            book["damaged"] += bool(book["in_step"]) or not isinstance(trouble, _HeaderError)
+            book["skipped_bytes"] += 1
+            book["in_step"] = 0
+            at += 1
+            continue
+        book["in_step"] = 1
+        book["packets"] += 1
+        sequence = int.from_bytes(stream.view[at + 12 : at + 16], "little")
+        if _book_sequence(book, sequence):
+            if not head:
+                others[found_others] = at, size
+                found_others += 1
+            elif _book_frame(book, head, _is_aborted(stream, at + size), ours):
+                trailer = FRAME_TRAILER.unpack(stream.view, at + size - FRAME_TRAILER.size)
+                book["hits"] += trailer["hits"]
+                table = chunks[: stride * -(-pixels // run)].reshape(-1, stride)
+                table[:, frames] = 0
+                table[indices, frames] = np.array(entries, np.uint64)
+                headers[frames] = stream.octets[at : at + FRAME_HEADER.size]
+                places[frames] = at, size
+                frames += 1
+        at += size
+    return result(0, False)
+
+
+def _is_aborted(stream: _Stream, end: int) -> bool:
+    return bool(stream.view[end - FRAME_TRAILER.size] >> 2 & 1)

@@ -9,6 +9,8 @@ __all__ = [
     "FileFormatError",
     "HistogramError",
     "HueflightError",
+    "ImageError",
+    "IngestError",
     "InstrumentError",
     "OverflowPolicyError",
     "RecordingError",
@@ -22,6 +24,10 @@ class InstrumentError(HueflightError):
 
 class HistogramError(HueflightError):
     """Counts whose shape, type or content does not fit the instrument."""
+
+
+class IngestError(HueflightError):
+    """Packets that can't be counted into the histogram asked for, or kernels that aren't there."""
 
 
 class OverflowPolicyError(HistogramError):
@@ -38,6 +44,10 @@ class RecordingError(HueflightError):
 
 class SceneError(HueflightError):
     """A scene that does not exist or does not fit the instrument."""
+
+
+class ImageError(HueflightError):
+    """A dataset that is no image, or lacks what is asked of it."""
 
 
 class ExportError(HueflightError):

@@ -1,0 +1,91 @@
+"""One look for all pictures of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from numpy.typing import NDArray
+
+DEPTH_MAP = "viridis"  #: perceptually uniform, readable without colour vision
+TRUTH = {"color": "0.15", "linewidth": 1.2, "linestyle": "--"}
+MEASURED = {"color": "#c2410c", "linewidth": 1.1}
+SECOND = {"color": "#1d4ed8", "linewidth": 1.1}
+INK = "#1f2937"
+
+SETTINGS: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "0.6",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": False,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "legend.frameon": False,
+    "figure.dpi": 110,
+    "savefig.bbox": "tight",
+    "savefig.pad_inches": 0.08,
+}
+
+
+def panels(
+    rows: int = 1, cols: int = 1, *, width: float = 9.0, height: float = 3.2, **options: Any
+) -> tuple[Figure, NDArray[Any]]:
+    """A figure and its axes as an array (rows, cols)."""
+    with mpl.rc_context(SETTINGS):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        axes = figure.subplots(rows, cols, squeeze=False, **options)
+    return figure, axes
+
+
+def show_plane(
+    axes: Axes,
+    plane: NDArray[np.floating],
+    *,
+    aspect: float,
+    title: str = "",
+    limits: tuple[float, float] | None = None,
+    colours: str = "gray",
+) -> AxesImage:
+    """One (row, col) plane with square world proportions; missing pixels in a quiet tone."""
+    colour_map = mpl.colormaps[colours].with_extremes(bad="#d8b4b4")
+    low, high = limits if limits else (None, None)
+    shown = axes.imshow(
+        np.ma.masked_invalid(plane),
+        cmap=colour_map,
+        vmin=low,
+        vmax=high,
+        aspect=aspect,
+        interpolation="nearest",
+    )
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.set_title(title)
+    return shown
+
+
+def pixel_aspect(instrument: Any) -> float:
+    """Height of a pixel over its width, 1 where the pitch is not known."""
+    sensor = instrument.sensor
+    if sensor.pixel_width_um and sensor.pixel_height_um:
+        return sensor.pixel_height_um / sensor.pixel_width_um
+    return 1.0
+
+
+def label_lines(axes: Axes, x: str, y: str, *, legend: bool | Sequence[str] = True) -> None:
+    """Axis labels with units, and a legend if wanted."""
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    if legend:
+        axes.legend(fontsize=8)

@@ -160,7 +160,7 @@ def lying_payloads() -> Iterator[Vector]:
         "bitmap-beyond",
         "F10",
         "A bitmap bit for a pixel that does not exist.",
-        lambda p: patched(p, 68, bytes([p[68] & ~4, p[69] | 0x40])),
+        lambda p: patched(p, 68, bytes([p[68] & ~4, p[69] | 0x20])),
     )
     yield small(
         "bits-beyond",
@@ -177,11 +177,25 @@ def lying_payloads() -> Iterator[Vector]:
     )
     yield small("pad-word", "F6", "A pad word that is not 0.", lambda p: patched(p, 76, u32(4)))
     yield small(
-        "pad-twice",
-        "F6",
-        "Three pad words.",
-        lambda p: patched(p[:76] + bytes(8) + p[76:], -8, u32((len(p) + 8) // 4)),
+        "pad-missing", "F6", "No pad word where one is due.", lambda p: resized(p[:76] + p[80:])
     )
+    yield small(
+        "pad-thrice", "F6", "Three pad words.", lambda p: resized(p[:76] + bytes(8) + p[76:])
+    )
+
+    stream = Stream("A pad word where none is due.")
+    dark = np.zeros((1, 13), np.uint16)
+    stream.frame(dark, run=16)
+    packet = Stream("", sequence=1).frame(dark, run=16)
+    stream.bad(seal(resized(packet[:64] + bytes(4) + packet[64:])), rule="F6")
+    stream.sequence = 2
+    stream.frame(dark, run=16)
+    yield stream.finished("lie-pad-undue", missing=1)
+
+
+def resized(packet: bytes) -> bytes:
+    """Return a packet whose trailer says the length that it has now."""
+    return patched(packet, -8, u32(len(packet) // 4))
 
 
 def lying_packets() -> Iterator[Vector]:

@@ -160,7 +160,7 @@ class FrameWalk:
         return False
 
     def _read_pad(self, buffer: Buffer, start: int, word: int) -> None:
-        if word or self.position % ALIGNMENT == 0:
+        if word:
             raise PacketError(f"chunk word is {word:#010x}", rule="F6", offset=self.position)
         self.needed = self.position + 8
         if len(buffer) - start < self.needed:

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 import hueflight_protocol as hp
 from hueflight_protocol import control, wire
-from hueflight_protocol.cheader import c_header
 from hueflight_protocol.layout import Layout
 
 LAYOUTS = {
@@ -86,24 +85,3 @@ def test_sizes_that_the_wire_promises():
 def test_what_is_refused(make, message: str):
     with pytest.raises(hp.ProtocolError, match=message):
         make()
-
-
-def test_the_c_header_says_what_the_declarations_say():
-    defined = {}
-    for line in c_header().splitlines():
-        if line.startswith("#define HF_") and len(line.split()) > 2:
-            _, name, number, *_ = line.split()
-            defined[name] = int(number.rstrip("u"), 0)
-    for name in ("FRAME_HEADER", "FRAME_TRAILER", "PACKET_HEADER", "PACKET_TRAILER"):
-        layout = LAYOUTS[name]
-        assert defined[f"HF_{name}_BYTES"] == layout.size
-        for field in layout.fields:
-            assert defined[f"HF_{name}_AT_{field.name.upper()}"] == field.offset
-    for name, layout in WORDS.items():
-        for field in layout.fields:
-            prefix = f"HF_{name}_{field.name.upper()}"
-            assert defined[f"{prefix}_SHIFT"] == field.shift
-            assert defined[f"{prefix}_MASK"] == field.mask
-    assert defined["HF_MAGIC"].to_bytes(4, "little") == hp.MAGIC
-    assert defined["HF_PACKET_TYPE_FRAME"] == hp.PacketType.FRAME
-    assert defined["HF_MAX_PACKET_BYTES"] == hp.MAX_PACKET_BYTES

@@ -1,0 +1,143 @@
+"""OME-TIFF: bands as channels with their wavelengths, for microscopy software.
+
+Written after the OME data model, schema 2016-06 (https://www.openmicroscopy.org/Schemas/OME/
+2016-06): one Image each for reflectance and its uncertainty (a channel per band), one for the
+other floating-point planes, one for the quality flags.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.export.description import band_names, plain_attributes
+from hueflight.export.staging import optional, staged
+from hueflight.export.tiff import CLASSIC_LIMIT, storable
+from hueflight.images import SERIES_DIM, captures, require_image
+
+NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
+PIXEL_TYPES = {"float32": "float", "int32": "int32", "uint32": "uint32", "int16": "int16",
+               "uint16": "uint16", "uint8": "uint8"}  # fmt: skip
+
+
+def write_ome_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
+    """Image or series as an OME-TIFF; the captures of a series are its time points."""
+    require_image(image)
+    tifffile = optional("tifffile")
+    stacks = _stacks(image)
+    big = sum(stack.nbytes for _, stack, _ in stacks) > CLASSIC_LIMIT
+    xml = _description(image, stacks)
+    with (
+        staged(path, overwrite=overwrite) as partial,
+        tifffile.TiffWriter(partial, bigtiff=big, byteorder="<") as writer,
+    ):
+        for _, stack, _ in stacks:
+            for plane in stack.reshape(-1, *stack.shape[2:]):
+                writer.write(
+                    plane,
+                    photometric="minisblack",
+                    metadata=None,
+                    description=xml,  # belongs to the first page only
+                    software=image.attrs.get("software", "hueflight"),
+                )
+                xml = None
+
+
+def _stacks(image: xr.Dataset) -> list[tuple[str, NDArray[Any], list[dict[str, str]]]]:
+    """(name, values (time, channel, row, col), attributes of each channel) of each OME Image."""
+    series = image if SERIES_DIM in image.dims else image.expand_dims(SERIES_DIM)
+    names, wavelengths = band_names(image), image["wavelength"].values
+    spectral = [
+        {
+            "Name": f"{name} {wavelength:g} nm",
+            "EmissionWavelength": repr(float(wavelength)),
+            "EmissionWavelengthUnit": "nm",
+        }
+        for name, wavelength in zip(names, wavelengths, strict=True)
+    ]
+    cubes: list[tuple[str, NDArray[Any], list[dict[str, str]]]] = []
+    planes: dict[str, list[tuple[str, NDArray[Any]]]] = {}
+    for key, variable in series.data_vars.items():
+        name = str(key)
+        if "band" in variable.dims:
+            ordered = variable.transpose(SERIES_DIM, "band", "row", "col").values
+            cubes.append((name, storable(ordered, name), spectral))
+        else:
+            plane = storable(variable.transpose(SERIES_DIM, "row", "col").values, name)
+            planes.setdefault(plane.dtype.name, []).append((name, plane))
+    for members in planes.values():
+        label = members[0][0] if len(members) == 1 else "planes"
+        channels = [
+            {"Name": f"{name} [{series[name].attrs.get('units', '1')}]"} for name, _ in members
+        ]
+        cubes.append((label, np.stack([plane for _, plane in members], axis=1), channels))
+    return cubes
+
+
+def _description(
+    image: xr.Dataset, stacks: list[tuple[str, NDArray[Any], list[dict[str, str]]]]
+) -> str:
+    """The OME-XML block."""
+    root = Xml.Element("OME", {"xmlns": NAMESPACE, "Creator": image.attrs.get("software", "")})
+    page = 0
+    for number, (name, stack, channels) in enumerate(stacks):
+        times, count, rows, cols = stack.shape
+        entry = Xml.SubElement(root, "Image", {"ID": f"Image:{number}", "Name": name})
+        pixels = Xml.SubElement(
+            entry,
+            "Pixels",
+            {
+                "ID": f"Pixels:{number}",
+                "DimensionOrder": "XYCZT",
+                "Type": PIXEL_TYPES[stack.dtype.name],
+                "BigEndian": "false",
+                "SizeX": str(cols),
+                "SizeY": str(rows),
+                "SizeC": str(count),
+                "SizeZ": "1",
+                "SizeT": str(times),
+            },
+        )
+        for index, channel in enumerate(channels):
+            Xml.SubElement(
+                pixels,
+                "Channel",
+                {"ID": f"Channel:{number}:{index}", "SamplesPerPixel": "1", **channel},
+            )
+        for time in range(times):
+            for index in range(count):
+                Xml.SubElement(
+                    pixels,
+                    "TiffData",
+                    {
+                        "IFD": str(page),
+                        "PlaneCount": "1",
+                        "FirstC": str(index),
+                        "FirstZ": "0",
+                        "FirstT": str(time),
+                    },
+                )
+                page += 1
+        Xml.SubElement(entry, "AnnotationRef", {"ID": "Annotation:0"})
+    annotations = Xml.SubElement(root, "StructuredAnnotations")
+    mapping = Xml.SubElement(
+        annotations, "MapAnnotation", {"ID": "Annotation:0", "Namespace": "hueflight"}
+    )
+    values = Xml.SubElement(mapping, "Value")
+    for key, value in _origin(image).items():
+        Xml.SubElement(values, "M", {"K": key}).text = value
+    # character references keep the block ASCII, as the TIFF tag wants it
+    return Xml.tostring(root, encoding="us-ascii", xml_declaration=True).decode()
+
+
+def _origin(image: xr.Dataset) -> dict[str, str]:
+    single = captures(image)[0]
+    known = plain_attributes(single)
+    if "instrument_description" in image.attrs:
+        known["instrument_description"] = image.attrs["instrument_description"]
+    return known

@@ -1,0 +1,232 @@
+"""Photon lists as Photon-HDF5, which tools for photon-by-photon analysis read.
+
+After the Photon-HDF5 specification, version 0.5 (A. Ingargiola et al., Biophys. J. 110, 26,
+2016; https://photon-hdf5.readthedocs.io): one entry per photon with the time of its exposure,
+its arrival within the period (nanotime) and its pixel.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import ExportError
+from hueflight.export.hdf5 import patient_file
+from hueflight.export.staging import optional, staged
+from hueflight.instrument import Instrument
+
+CHUNK_PHOTONS = 1 << 16
+FORMAT = {
+    "format_name": "Photon-HDF5",
+    "format_version": "0.5",
+    "format_url": "http://photon-hdf5.org/",
+}
+
+
+def write_photons(
+    frames: Iterable[NDArray[np.integer]],
+    instrument: Instrument,
+    path: str | Path,
+    /,
+    *,
+    frame_rate_hz: float | None = None,
+    description: str = "",
+    author: str = "unknown",
+    overwrite: bool = False,
+) -> int:
+    """Every photon of a run of frames as a Photon-HDF5 file; returns how many there were.
+
+    `timestamps` count frames. `nanotimes` count bins of the period in order of arrival, so
+    that later photons have larger ones whatever the converter's direction; where the first
+    bin of the period is a partial one, photons of bin n ≥ 1 start `first_bin_width_ns` +
+    (n − 1) · `tcspc_unit` into it (`/user/hueflight`). `detectors` are row · cols + col.
+
+    Parameters
+    ----------
+    frames : blocks (frame, row, col) or single frames (row, col) of raw codes, in order.
+    instrument : that made them.
+    frame_rate_hz : by default the sensor's.
+    description, author : as the format asks for.
+
+    Raises
+    ------
+    ExportError
+        If there is no frame rate, a frame has another shape, or a code is not the sensor's.
+    """
+    rate = frame_rate_hz if frame_rate_hz is not None else instrument.sensor.frame_rate_hz
+    if rate is None or not (np.isfinite(rate) and rate > 0):
+        raise ExportError(
+            f"frame_rate_hz = {rate!r}: photon lists need the frame rate; give it here or as "
+            "sensor.frame_rate_hz of the instrument"
+        )
+    h5py = optional("h5py")
+    with (
+        staged(path, overwrite=overwrite) as partial,
+        patient_file(partial) as disk,
+        h5py.File(disk, "w") as file,
+    ):
+        arrays = _photon_arrays(file, instrument)
+        counts = np.zeros(int(np.prod(instrument.image_shape)), dtype=np.int64)
+        total = 0
+        for block in frames:
+            total += _append(arrays, block, total, instrument, counts)
+            disk.settle()  # a full disk ends a long run at once
+        _describe(file, instrument, rate, description=description, frames=total, counts=counts)
+        _identify(file, author=author, name=Path(path).name)
+        _entitle(file)
+        return int(counts.sum())
+
+
+def _photon_arrays(file: Any, instrument: Instrument) -> dict[str, Any]:
+    """Empty columns that grow."""
+    pixels = int(np.prod(instrument.image_shape))
+    group = file.create_group("photon_data")
+    kinds = {
+        "timestamps": np.int64,
+        "nanotimes": np.min_scalar_type(instrument.time_bins().count),
+        "detectors": np.min_scalar_type(pixels),
+    }
+    return {
+        name: group.create_dataset(
+            name,
+            shape=(0,),
+            maxshape=(None,),
+            chunks=(CHUNK_PHOTONS,),
+            dtype=kind,
+            compression="gzip",
+            compression_opts=1,
+            shuffle=True,
+        )
+        for name, kind in kinds.items()
+    }
+
+
+def _append(
+    arrays: dict[str, Any],
+    block: NDArray[np.integer],
+    first_frame: int,
+    instrument: Instrument,
+    counts: NDArray[np.int64],
+) -> int:
+    """The photons of one block; returns its number of frames."""
+    codes = np.asarray(block)
+    if codes.ndim == 2:
+        codes = codes[None]
+    if codes.ndim != 3 or codes.shape[1:] != instrument.image_shape or codes.dtype.kind not in "ui":
+        raise ExportError(
+            f"frames from {first_frame} on have shape {codes.shape} and type {codes.dtype}; "
+            f"instrument {instrument.name!r} makes whole numbers (frame, "
+            f"{instrument.image_shape[0]}, {instrument.image_shape[1]})"
+        )
+    bin_of_code = np.full(instrument.sensor.codes, -1)
+    bins = instrument.time_bins()
+    bin_of_code[bins.codes] = np.arange(bins.count)
+    hit = codes != 0 if instrument.sensor.reports_empty else np.ones(codes.shape, dtype=bool)
+    frame, row, col = np.nonzero(hit)
+    found = codes[frame, row, col]
+    outside = (found < 0) | (found >= bin_of_code.size)
+    nanotime = np.where(outside, -1, bin_of_code[np.where(outside, 0, found)])
+    if (nanotime < 0).any():
+        first = int(np.argmax(nanotime < 0))
+        raise ExportError(
+            f"code {found[first]} of frame {first_frame + frame[first]}, pixel "
+            f"({row[first]}, {col[first]}) lies outside the period of instrument "
+            f"{instrument.name!r}, which uses codes {bins.codes.min()} to {bins.codes.max()}"
+        )
+    detector = row * instrument.image_shape[1] + col
+    np.add.at(counts, detector, 1)
+    columns = {"timestamps": first_frame + frame, "nanotimes": nanotime, "detectors": detector}
+    for name, values in columns.items():
+        array = arrays[name]
+        array.resize(array.shape[0] + values.size, axis=0)
+        if values.size:
+            array[-values.size :] = values
+    return codes.shape[0]
+
+
+def _describe(
+    file: Any,
+    instrument: Instrument,
+    rate: float,
+    *,
+    description: str,
+    frames: int,
+    counts: NDArray[np.int64],
+) -> None:
+    """Fields that the format asks for about time, detectors and light."""
+    bins = instrument.time_bins()
+    unit_s = instrument.sensor.bin_width_ns * 1e-9
+    rows, cols = instrument.image_shape
+    file["acquisition_duration"] = frames / rate
+    file["description"] = _text(description or f"Photons of {frames} frames of {instrument.name}")
+    data = file["photon_data"]
+    data["timestamps_specs/timestamps_unit"] = 1 / rate
+    data["nanotimes_specs/tcspc_unit"] = unit_s
+    data["nanotimes_specs/tcspc_num_bins"] = bins.count
+    data["nanotimes_specs/tcspc_range"] = bins.count * unit_s
+    setup = file.create_group("setup")
+    bands = sorted(instrument.bands, key=lambda band: band.wavelength_nm)
+    for name, value in {
+        "num_pixels": rows * cols,
+        "num_spots": 1,
+        "num_spectral_ch": 1,  # of detection: the sensor does not tell colours apart
+        "num_polarization_ch": 1,
+        "num_split_ch": 1,
+        "modulated_excitation": 1,
+        "excitation_alternated": np.ones(len(bands), dtype=np.uint8),
+        "excitation_cw": np.zeros(len(bands), dtype=np.uint8),
+        "lifetime": 1,
+        "excitation_wavelengths": np.array([band.wavelength_nm for band in bands]) * 1e-9,
+        "excitation_input_powers": np.array([band.power_mw for band in bands]) * 1e-3,
+    }.items():
+        setup[name] = value
+    index = np.arange(rows * cols)
+    setup["detectors/id"] = index
+    setup["detectors/counts"] = counts
+    setup["detectors/position"] = np.stack([index % cols, index // cols], axis=1)
+    own = file.create_group("user/hueflight")
+    own["instrument_description"] = _text(instrument.to_json())
+    own["first_bin_width_ns"] = bins.widths_ns[0]
+    own["code_of_nanotime"] = bins.codes.astype(np.int64)
+    own["bin_edges_ns"] = bins.edges_ns
+
+
+def _identify(file: Any, *, author: str, name: str) -> None:
+    """Who wrote the file, after which version of the format."""
+    for key, value in FORMAT.items():
+        file.attrs[key] = _text(value)
+    identity = file.create_group("identity")
+    for key, value in {
+        "author": author,
+        "author_affiliation": "unknown",
+        "creation_time": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S"),
+        "software": "hueflight",
+        "software_version": version("hueflight"),
+        "filename": name,
+        **FORMAT,
+    }.items():
+        identity[key] = _text(value)
+
+
+def _entitle(file: Any) -> None:
+    """The title that the format prescribes for each field; its own readers insist on them."""
+    source = resources.files("hueflight.export") / "photon_hdf5_titles.csv"
+    titles = {
+        row["field"]: row["title"] for row in csv.DictReader(source.read_text("utf-8").splitlines())
+    }
+    for field, title in titles.items():
+        if field in file:
+            file[field].attrs["TITLE"] = _text(title)
+
+
+def _text(value: str) -> np.bytes_:
+    """Text as the format wants it: bytes of fixed length."""
+    return np.bytes_(value.encode("utf-8"))

@@ -1,0 +1,84 @@
+"""From an image to points in space, by the lens model; written as PLY or LAS.
+
+Metres in the camera's frame: x right, y down, z along the optical axis away from the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.display import three_band_rgb
+from hueflight.errors import ExportError
+from hueflight.export.description import band_labels
+from hueflight.images import SERIES_DIM, instrument_of, require_image
+from hueflight.instrument import Instrument
+
+
+@dataclass(frozen=True)
+class Points:
+    """A point cloud: every pixel of an image that has a depth, row by row.
+
+    Attributes
+    ----------
+    xyz : (point, 3) metres.
+    rgb : (point, 3) sRGB, 0 to 255.
+    fields : name → (point,) values: row, col, every plane and every band of the image.
+    units : name → unit of each field.
+    """
+
+    xyz: NDArray[np.float64]
+    rgb: NDArray[np.uint8]
+    fields: dict[str, NDArray[Any]]
+    units: dict[str, str]
+
+
+def image_points(image: xr.Dataset, /, *, instrument: Instrument | None = None) -> Points:
+    """Points of one image.
+
+    Parameters
+    ----------
+    image : one image.
+    instrument : whose lens gives each pixel's direction; by default as the image describes.
+
+    Raises
+    ------
+    ExportError
+        If the image is a series, has no pixel with a depth, or no instrument is known.
+    """
+    require_image(image)
+    if SERIES_DIM in image.dims:
+        raise ExportError(f"a point cloud holds one image: select one {SERIES_DIM!r} of the series")
+    source = instrument_of(image, instrument)
+    depth = image["depth"].transpose("row", "col").values.astype(np.float64)
+    if depth.shape != source.image_shape:
+        raise ExportError(
+            f"the image has {depth.shape} pixels, instrument {source.name!r} has "
+            f"{source.image_shape}: cut-out images lose their pixels' directions; export the "
+            "whole and cut the points"
+        )
+    known = np.isfinite(depth)
+    if not known.any():
+        raise ExportError("no pixel of the image has a depth: there are no points to write")
+    right, down = source.ray_slopes()
+    xyz = np.stack([right[known], down[known], np.ones(known.sum())], axis=1)
+    xyz *= depth[known][:, None]
+    row, col = np.nonzero(known)
+    fields: dict[str, NDArray[Any]] = {"row": row.astype(np.uint16), "col": col.astype(np.uint16)}
+    units = {"row": "1", "col": "1"}
+    labels = band_labels(image)
+    for name, variable in image.data_vars.items():
+        unit = str(variable.attrs.get("units", "1"))
+        if "band" in variable.dims:
+            cube = variable.transpose("band", "row", "col").values
+            for label, plane in zip(labels, cube, strict=True):
+                fields[f"{name}_{label}"], units[f"{name}_{label}"] = plane[known], unit
+        elif name != "depth":  # which is z
+            fields[str(name)] = variable.transpose("row", "col").values[known]
+            units[str(name)] = unit
+    rgb = np.rint(three_band_rgb(image)[known] * 255).astype(np.uint8)
+    return Points(xyz=xyz, rgb=rgb, fields=fields, units=units)

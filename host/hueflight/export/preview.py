@@ -1,0 +1,158 @@
+"""PNG previews: one plane as a picture with its colour bar, unit and limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.display import three_band_rgb
+from hueflight.errors import ExportError
+from hueflight.export.colormap import NO_DATA, colours
+from hueflight.export.description import band_labels, plain_attributes
+from hueflight.export.staging import optional, staged
+from hueflight.images import SERIES_DIM, require_image
+
+MARGIN = 12
+BAR_WIDTH = 18
+TEXT_HEIGHT = 13
+LABEL_WIDTH = 76
+WANTED_SIDE = 480  #: small images are enlarged by whole factors towards this many pixels
+BACKGROUND = (255, 255, 255)
+INK = (32, 32, 32)
+TICKS = 5
+
+
+def write_png(
+    image: xr.Dataset,
+    path: str | Path,
+    /,
+    *,
+    variable: str = "depth",
+    band: int | None = None,
+    limits: tuple[float, float] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """One plane of an image as a picture for people.
+
+    Pixels are enlarged by a whole factor and keep their sharp edges; those without a value
+    are grey. Limits, unit and origin are also in the file's text entries.
+
+    Parameters
+    ----------
+    image : one image.
+    variable : its name, or ``"rgb"`` for the three-band picture.
+    band : which, where the variable has one plane per band.
+    limits : values of the bar's ends; by default percentiles 1 and 99.
+    """
+    picture, entries = _picture(image, variable, band, limits)
+    png = optional("PIL.PngImagePlugin")
+    info = png.PngInfo()
+    for key, value in {**plain_attributes(image), **entries}.items():
+        info.add_itxt(key, value)
+    with staged(path, overwrite=overwrite) as partial:
+        picture.save(partial, format="PNG", pnginfo=info)
+
+
+def write_previews(image: xr.Dataset, folder: str | Path, /, *, overwrite: bool = False) -> None:
+    """A folder of pictures: RGB, depth, its uncertainty, photons, every band."""
+    require_image(image)
+    planes = [name for name in ("depth", "depth_std", "photons", "background") if name in image]
+    wanted: list[tuple[str, str, int | None]] = [(name, name, None) for name in ("rgb", *planes)]
+    labels = enumerate(band_labels(image))
+    wanted += [(f"reflectance-{label}", "reflectance", band) for band, label in labels]
+    with staged(folder, overwrite=overwrite) as partial:
+        partial.mkdir()
+        for stem, variable, band in wanted:
+            write_png(image, partial / f"{stem}.png", variable=variable, band=band)
+
+
+def _picture(
+    image: xr.Dataset, variable: str, band: int | None, limits: tuple[float, float] | None
+) -> tuple[Any, dict[str, str]]:
+    """The picture (a Pillow image) and what to write into the file about it."""
+    require_image(image)
+    if SERIES_DIM in image.dims:
+        raise ExportError(f"a picture shows one image: select one {SERIES_DIM!r} of the series")
+    if variable == "rgb":
+        pixels = np.rint(three_band_rgb(image) * 255).astype(np.uint8)
+        return _enlarged(pixels), {"variable": "rgb"}
+    plane = _plane(image, variable, band)
+    low, high = limits or _percentiles(plane)
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise ExportError(f"limits = {(low, high)!r}: the first must be below the second")
+    unit = str(image[variable].attrs.get("units", "1"))
+    title = variable if unit == "1" else f"{variable} [{unit}]"
+    if band is not None:
+        title = f"{title}, {image['wavelength'].values[band]:g} nm"
+    entries = {"variable": title, "limits": f"{low:.9g} {high:.9g}"}
+    return _with_bar(colours(plane, low, high), title, low, high), entries
+
+
+def _plane(image: xr.Dataset, variable: str, band: int | None) -> NDArray[np.float64]:
+    if variable not in image.data_vars:
+        raise ExportError(
+            f"the image has no {variable!r}: choose rgb or one of "
+            f"{', '.join(map(str, image.data_vars))}"
+        )
+    values = image[variable]
+    if "band" in values.dims:
+        count = image.sizes["band"]
+        if band is None or not 0 <= band < count:
+            raise ExportError(
+                f"{variable!r} has {count} bands: say which, band=0 to {count - 1}; it is {band!r}"
+            )
+        values = values.isel(band=band)
+    elif band is not None:
+        raise ExportError(f"{variable!r} has no bands: leave band={band!r} out")
+    return values.transpose("row", "col").values.astype(np.float64)
+
+
+def _percentiles(plane: NDArray[np.float64]) -> tuple[float, float]:
+    known = plane[np.isfinite(plane)]
+    if not known.size:
+        return 0.0, 1.0  # an empty plane is all grey, whatever the bar says
+    low, high = (float(v) for v in np.percentile(known, (1, 99)))
+    return (low, high) if low < high else (low - 0.5, low + 0.5)
+
+
+def _enlarged(pixels: NDArray[np.uint8]) -> Any:
+    pil = optional("PIL.Image")
+    factor = max(1, WANTED_SIDE // max(pixels.shape[:2]))
+    return pil.fromarray(pixels.repeat(factor, axis=0).repeat(factor, axis=1))
+
+
+def _with_bar(pixels: NDArray[np.uint8], title: str, low: float, high: float) -> Any:
+    """Title above, colour bar on the right."""
+    pil, draw_module = optional("PIL.Image"), optional("PIL.ImageDraw")
+    font = optional("PIL.ImageFont").load_default(TEXT_HEIGHT)
+    shown = _enlarged(pixels)
+    top = MARGIN + TEXT_HEIGHT + 8
+    height = max(shown.height, 128)
+    canvas = pil.new(
+        "RGB",
+        (
+            max(shown.width, 160) + BAR_WIDTH + LABEL_WIDTH + 3 * MARGIN,
+            height + top + MARGIN + TEXT_HEIGHT,
+        ),
+        BACKGROUND,
+    )
+    canvas.paste(shown, (MARGIN, top))
+    draw = draw_module.Draw(canvas)
+    draw.text((MARGIN, MARGIN - 2), title, fill=INK, font=font)
+    left = max(shown.width, 160) + 2 * MARGIN
+    share = np.linspace(1, 0, height)[:, None].repeat(BAR_WIDTH, axis=1)
+    canvas.paste(pil.fromarray(colours(share, 0, 1)), (left, top))
+    for step in range(TICKS):
+        y = top + round((height - 1) * step / (TICKS - 1))
+        value = high + (low - high) * step / (TICKS - 1)
+        draw.line((left + BAR_WIDTH, y, left + BAR_WIDTH + 4, y), fill=INK)
+        label = f"{value:.4g}".replace("-", "−")
+        draw.text((left + BAR_WIDTH + 7, y), label, fill=INK, font=font, anchor="lm")
+    legend = top + height + 6
+    draw.rectangle((MARGIN, legend, MARGIN + 9, legend + 9), fill=NO_DATA)
+    draw.text((MARGIN + 15, legend + 5), "no value", fill=INK, font=font, anchor="lm")
+    return canvas

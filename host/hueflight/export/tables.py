@@ -1,0 +1,86 @@
+"""Spectra of regions as CSV, for spreadsheets and statistics."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from hueflight.analysis.regions import Region, region_spectra
+from hueflight.export.description import band_names, band_widths_nm, plain_attributes
+from hueflight.export.staging import staged
+from hueflight.images import SERIES_DIM, require_image
+
+WHOLE = "whole image"
+COLUMNS = (
+    "region", "band", "wavelength_nm", "fwhm_nm", "reflectance", "reflectance_std",
+    "reflectance_scatter", "pixels", "depth_m", "depth_std_m", "depth_scatter_m",
+)  # fmt: skip
+
+
+def write_csv(
+    image: xr.Dataset,
+    path: str | Path,
+    /,
+    *,
+    regions: Mapping[str, Region] | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Mean spectra of regions as CSV, one line per region and band.
+
+    Lines that begin with ``#`` say where the numbers come from. Numbers that can't be known
+    are empty. A series has the column `capture` in front.
+
+    Parameters
+    ----------
+    image : image or series.
+    regions : name → mask or slices, as for `hueflight.analysis.region_spectra`; by default
+        the whole image.
+    """
+    require_image(image)
+    chosen = regions or {WHOLE: np.ones((image.sizes["row"], image.sizes["col"]), dtype=bool)}
+    spectra = region_spectra(image, chosen)
+    series = SERIES_DIM in image.dims
+    text = io.StringIO(newline="")
+    for key, value in plain_attributes(image).items():
+        text.write(f"# {key}: {' '.join(value.split())}\r\n")
+    writer = csv.writer(text)
+    writer.writerow(([SERIES_DIM] if series else []) + list(COLUMNS))
+    if series:
+        for name in image[SERIES_DIM].values:
+            one = spectra.sel({SERIES_DIM: name})
+            writer.writerows([str(name), *line] for line in _lines(image, one))
+    else:
+        writer.writerows(_lines(image, spectra))
+    with staged(path, overwrite=overwrite) as partial:
+        partial.write_text(text.getvalue(), encoding="utf-8", newline="")
+
+
+def _lines(image: xr.Dataset, spectra: xr.Dataset) -> list[list[str]]:
+    names, wavelengths = band_names(image), image["wavelength"].values
+    widths = band_widths_nm(image)
+    lines = []
+    for region in spectra["region"].values:
+        one = spectra.sel(region=region)
+        for band, name in enumerate(names):
+            here = one.isel(band=band)
+            lines.append([
+                str(region),
+                name,
+                f"{wavelengths[band]:g}",
+                "" if widths is None else f"{widths[band]:g}",
+                *(_number(here[key]) for key in ("reflectance", "reflectance_std",
+                                                 "reflectance_scatter")),
+                str(int(here["pixels"])),
+                *(_number(here[key]) for key in ("depth", "depth_std", "depth_scatter")),
+            ])  # fmt: skip
+    return lines
+
+
+def _number(value: xr.DataArray) -> str:
+    number = float(value)
+    return repr(number) if np.isfinite(number) else ""

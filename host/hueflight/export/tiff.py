@@ -1,0 +1,83 @@
+"""Multi-page TIFF: every plane of an image as one page that says what it is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.errors import ExportError
+from hueflight.export.description import band_names, band_widths_nm, plain_attributes
+from hueflight.export.staging import optional, staged
+from hueflight.images import captures, layers, require_image
+
+PAGE_NAME_TAG = 285
+CLASSIC_LIMIT = 2**32 - 2**25  #: bytes a classic TIFF can address, less room for its tags
+
+
+def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
+    """Image or series as a multi-page TIFF.
+
+    One page for each variable, or for each of its bands; float32, quality flags uint16. A
+    page's name (tag 285) is for people; its description is JSON with the variable, capture,
+    band, wavelength, width and units, and on the first page the origin of the whole.
+    """
+    require_image(image)
+    tifffile = optional("tifffile")
+    pages = list(_pages(image))
+    big = sum(plane.nbytes for plane, _, _ in pages) > CLASSIC_LIMIT
+    with (
+        staged(path, overwrite=overwrite) as partial,
+        tifffile.TiffWriter(partial, bigtiff=big, byteorder="<") as writer,
+    ):
+        for plane, name, about in pages:
+            writer.write(
+                plane,
+                photometric="minisblack",
+                metadata=None,  # tifffile's own description would hide ours
+                description=json.dumps(about),
+                software=image.attrs.get("software", "hueflight"),
+                extratags=[(PAGE_NAME_TAG, "s", 0, _ascii(name), True)],
+            )
+
+
+def storable(plane: NDArray[Any], name: str) -> NDArray[Any]:
+    """The plane in a type that TIFF readers know."""
+    if plane.dtype.kind == "b":
+        return plane.astype(np.uint8)
+    if plane.dtype.name not in ("uint8", "uint16", "uint32", "int16", "int32", "float32"):
+        if plane.dtype.kind == "f":
+            return plane.astype(np.float32)
+        raise ExportError(f"TIFF readers don't know {plane.dtype} of {name!r}: convert it first")
+    return plane
+
+
+def _pages(image: xr.Dataset) -> Iterator[tuple[NDArray[Any], str, dict[str, Any]]]:
+    names, wavelengths = band_names(image), image["wavelength"].values
+    widths = band_widths_nm(image)
+    first: dict[str, Any] = {"image": plain_attributes(image)}
+    for number, single in enumerate(captures(image)):
+        for variable, band, plane in layers(single):
+            attributes = single[variable].attrs
+            about = {"variable": variable, "capture": number, **first}
+            title = variable
+            about["units"] = attributes.get("units", "1")
+            if "flag_meanings" in attributes:
+                about["flag_meanings"] = attributes["flag_meanings"]
+                about["flag_masks"] = [int(mask) for mask in attributes["flag_masks"]]
+            if band is not None:
+                title = f"{variable} {names[band]} {wavelengths[band]:g} nm"
+                about |= {"band": names[band], "wavelength_nm": float(wavelengths[band])}
+                if widths is not None:
+                    about["fwhm_nm"] = float(widths[band])
+            yield storable(plane, variable), title, about
+            first = {}
+
+
+def _ascii(text: str) -> str:
+    return text.encode("ascii", "replace").decode()

@@ -14,7 +14,7 @@ from hueflight.errors import SceneError
 from hueflight.instrument import Instrument
 from hueflight.simulator.catalog import scene as make_scene
 from hueflight.simulator.light import periods_per_exposure
-from hueflight.simulator.sampling import simulate_codes, simulate_histogram
+from hueflight.simulator.sampling import require_codes, simulate_codes, simulate_histogram
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings
 from hueflight_protocol import FrameFlags, encode_frame
@@ -157,8 +157,21 @@ def simulate_packets(
         If there is no such kind, the scene is missing, or the sensor has no code for empty
         exposures.
     """
-    sensor = instrument.sensor
+    require_codes(instrument)
     parts = exposures(kind, instrument, scene=scene, distance=distance, settings=settings)
+    seeds = (seed, list(CAPTURES).index(kind))
+    return _packets(parts, instrument, frames, seeds, capture, clock_hz)
+
+
+def _packets(
+    parts: tuple[Exposure, ...],
+    instrument: Instrument,
+    frames: int,
+    seeds: tuple[int, int],
+    capture: int,
+    clock_hz: int,
+) -> Iterator[bytes]:
+    sensor = instrument.sensor
     frame_s = 1 / sensor.frame_rate_hz if sensor.frame_rate_hz else (sensor.exposure_ms or 1) * 1e-3
     number = count()
     for index, part in enumerate(parts):
@@ -168,7 +181,7 @@ def simulate_packets(
                 instrument,
                 frames=frames,
                 settings=part.settings,
-                seed=(seed, list(CAPTURES).index(kind), index, position),
+                seed=(*seeds, index, position),
                 rows=slice(position * sensor.rows, (position + 1) * sensor.rows),
             )
             for codes in (frame for block in blocks for frame in block):

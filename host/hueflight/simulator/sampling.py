@@ -89,13 +89,8 @@ def simulate_codes(
         If the scene does not fit the instrument, the sensor has no code for an empty exposure,
         or `frames` is not positive.
     """
+    require_codes(instrument)
     _check_frames(frames)
-    if not instrument.sensor.reports_empty:
-        raise SceneError(
-            f"instrument {instrument.name!r} has no code for an empty exposure "
-            '(sensor.code_zero = "bin"), so it can\'t deliver codes frame by frame: '
-            "simulate its histogram"
-        )
     rates = expected_rates(scene, instrument, settings).rows(rows)
     return _draw_codes(rates, frames, _generator(seed, 4), block_frames)
 
@@ -124,6 +119,16 @@ def _thresholds(rates: Rates) -> NDArray[np.uint32]:
         cumulative = np.cumsum(probabilities[..., rates.bins.codes], axis=-1)
         result[rows] = np.minimum(cumulative * _FULL_SCALE, _FULL_SCALE - 1)
     return result
+
+
+def require_codes(instrument: Instrument) -> None:
+    """Raise `SceneError` unless the sensor can deliver codes frame by frame."""
+    if not instrument.sensor.reports_empty:
+        raise SceneError(
+            f"instrument {instrument.name!r} has no code for an empty exposure "
+            '(sensor.code_zero = "bin"), so it can\'t deliver codes frame by frame: '
+            "simulate its histogram"
+        )
 
 
 def _generator(seed: int | Sequence[int], purpose: int) -> np.random.Generator:

@@ -115,6 +115,13 @@ def test_packets_carry_the_codes_of_simulate_codes(small):
         assert header.timestamp == round(number / 480 * header.clock_hz)
 
 
+def test_packets_that_cannot_be_are_refused_at_once(small, resized):
+    with pytest.raises(SceneError, match="needs a scene"):
+        simulate_packets("scene", small, frames=1)
+    with pytest.raises(SceneError, match="no code for an empty exposure"):
+        simulate_packets("dark", resized(small, 8, 6, code_zero="bin"), frames=1)
+
+
 def test_step_markers_count_leds(small):
     frames = decoded(simulate_packets("bands", small, frames=40, settings=QUIET))
     assert [frame.header.step for frame in frames] == [led for led in range(9) for _ in range(40)]

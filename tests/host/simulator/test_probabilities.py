@@ -110,7 +110,7 @@ def test_probabilities_sum_to_one_and_code_zero_is_the_empty_exposure(paper):
 
 
 def test_tiles_are_the_whole_cut_in_rows(paper, resized, monkeypatch):
-    monkeypatch.setattr("hueflight.simulator.probabilities._TILE_BYTES", 1 << 20)
+    monkeypatch.setattr("hueflight.simulator.probabilities._TILE_BYTES", 1 << 19)
     instrument = resized(paper, 19, 30)
     rates = expected_rates(scene("staircase", instrument), instrument)
     whole = code_probabilities(rates)
@@ -118,7 +118,7 @@ def test_tiles_are_the_whole_cut_in_rows(paper, resized, monkeypatch):
     for rows, part in probability_tiles(rates):
         np.testing.assert_allclose(part, whole[rows], atol=1e-12)
         seen[rows] += 1
-        assert part.nbytes <= 1 << 20
+        assert part.nbytes <= 1 << 19
     assert (seen == 1).all()
 
 

@@ -53,7 +53,7 @@ def measured_leds(real_data):
 
 
 def test_emission_shape_is_close_to_measured_leds(real_data, paper):
-    # measured peaks and widths put in, the rest is shape: RMS over the peak ± 60 nm is 0.033 on
+    # measured peaks and widths put in, the rest is shape: RMS over the peak ± 60 nm is 0.032 on
     # average (0.055 for the amber LED); a Gaussian gives 0.058
     deviations, gaussian = [], []
     for wavelength_nm, power in measured_leds(real_data):

@@ -1,0 +1,43 @@
+"""What docs/simulator.md says runs, and its numbers hold."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hueflight import Instrument
+from hueflight.simulator import SCENES, SimulationSettings, radiometric_detections
+
+PAGE = (Path(__file__).parents[3] / "docs" / "simulator.md").read_text("utf-8")
+
+
+def test_the_example_runs():
+    (example,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    names = {}
+    exec(example, names)
+    assert names["histogram"].shape == (192, 128, 512)
+    assert isinstance(names["packet"], bytes)
+
+
+def test_options_and_defaults_are_those_of_the_code():
+    for name, entry in SCENES.items():
+        (row,) = re.findall(rf"^\| `{name}` \|.*$", PAGE, flags=re.MULTILINE)
+        for option, default in entry.options.items():
+            shown = f'"{default}"' if isinstance(default, str) else f"{default:g}"
+            assert re.search(rf"{option}={shown}\b|{option}={shown}", row.replace("1.0", "1")), row
+    settings = SimulationSettings()
+    for names, values in re.findall(
+        r"^\| (`[a-z_`, ]+) \| ([0-9., ]+) \|", PAGE, flags=re.MULTILINE
+    ):
+        for name, value in zip(re.findall("[a-z_]+", names), values.split(","), strict=True):
+            assert getattr(settings, name) == float(value)
+
+
+@pytest.mark.parametrize(
+    ("preset", "f_number"), [("paper", 8.2), ("fullrate", 1.9), ("spad512", 2.4), ("line1024", 3.5)]
+)
+def test_apertures(preset, f_number):
+    instrument = Instrument.load(preset)
+    equivalent = 1.4 * np.sqrt(radiometric_detections(instrument) / 0.35)
+    assert equivalent == pytest.approx(f_number, abs=0.06)

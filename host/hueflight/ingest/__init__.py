@@ -2,5 +2,13 @@
 
 from hueflight.ingest.accumulate import accumulate, accumulate_by_step, accumulate_codes
 from hueflight.ingest.report import IngestReport
+from hueflight.ingest.stream import Block, HistogramStream
 
-__all__ = ["IngestReport", "accumulate", "accumulate_by_step", "accumulate_codes"]
+__all__ = [
+    "Block",
+    "HistogramStream",
+    "IngestReport",
+    "accumulate",
+    "accumulate_by_step",
+    "accumulate_codes",
+]

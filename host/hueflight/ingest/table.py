@@ -66,6 +66,8 @@ class Table:
         ``"saturate"`` and count what was clipped; ``"widen"`` to 32 bits, which is exact.
     out : array (rows, cols, 2**code_bits), optional
         Counts to add to, uint16 or uint32; by default new ones of 16 bits.
+    reuse : uint16 array, optional
+        Memory for new counts; what is in it does not matter.
     threads : int
         Threads over pixels.
 
@@ -84,6 +86,7 @@ class Table:
         kernels: Kernels,
         overflow: Overflow,
         out: Counts | None = None,
+        reuse: Counts | None = None,
         threads: int = 1,
     ) -> None:
         shape = (rows, cols, 1 << code_bits)
@@ -91,7 +94,8 @@ class Table:
         self._cols, self._code_bits = cols, code_bits
         # a new table is only written to: zeros would be set twice
         self._unwritten = [] if out is not None else [(0, rows)]
-        self.counts: Counts = np.empty(shape, np.uint16) if out is None else out
+        fresh = np.empty(shape, np.uint16) if reuse is None else reuse
+        self.counts: Counts = fresh if out is None else out
         # no counter is larger than this; while it and the new frames fit, nothing is checked
         self._largest = 0 if out is None or not out.size else int(out.max())
         self.photons = 0

@@ -52,6 +52,20 @@ def damages() -> Iterator[Vector]:
         "damaged-splice", "Header of one frame, body of another, both intact.", splice, "P6"
     )
 
+    for name, at in (("body", 34), ("trailer", -8), ("crc", -1)):
+        stream = Stream(f"One bit flipped in an event ({name}).")
+        stream.event(code=1)
+        event = hp.encode_event(hp.Event(hp.PacketHeader(sequence=1), 3))
+        stream.bad(flipped(event, at), rule="" if name == "trailer" else "P6")
+        stream.sequence = 2
+        stream.event(code=2)
+        yield stream.finished(f"damaged-event-{name}", missing=1)
+    stream = Stream("A magic and one byte more, right before a packet.")
+    stream.frame(random_codes(24, 4, 32, 0.4))
+    stream.bad(hp.MAGIC + b"\1", rule="")
+    stream.frame(random_codes(25, 4, 32, 0.4))
+    yield stream.finished("damaged-stub")
+
     whole = Stream("").frame(random_codes(24, 4, 32, 0.4))
     stream = Stream("The stream ends within a packet.")
     stream.frame(random_codes(25, 4, 32, 0.4))

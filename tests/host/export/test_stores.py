@@ -55,13 +55,6 @@ def test_series_keeps_captures_and_times(series: xr.Dataset, tmp_path: Path, end
         assert found["time"].attrs["units"] == "s"
 
 
-def test_every_chunk_is_on_disk_even_where_all_is_nan(image: xr.Dataset, tmp_path: Path) -> None:
-    empty = image.assign(depth=image["depth"] * np.nan)
-    write_zarr(empty, tmp_path / "scene.zarr")
-    for name in image.data_vars:
-        assert [p for p in (tmp_path / "scene.zarr" / name).iterdir() if p.name[0] != "."]
-
-
 def test_what_is_no_image_is_refused_by_name(image: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(ImageError, match="lacks reflectance"):
         write_zarr(image.drop_vars("reflectance"), tmp_path / "x.zarr")

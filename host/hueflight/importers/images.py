@@ -1,0 +1,58 @@
+"""Images back from disk: Zarr stores and NetCDF files, whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import xarray as xr
+
+from hueflight.errors import ExportError, FileFormatError, ImageError
+from hueflight.export.seal import check_seal
+from hueflight.export.staging import optional
+from hueflight.images import require_image
+
+ENDINGS = (".zarr", ".nc", ".nc4")
+
+
+def read_image(path: str | Path, /) -> xr.Dataset:
+    """Image or series that `hueflight.export` wrote as Zarr or NetCDF, in memory.
+
+    Parameters
+    ----------
+    path : of the store or file.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such file, it is damaged or incomplete, or it holds no image.
+    """
+    path = Path(path)
+    if not path.name.lower().endswith(ENDINGS):
+        raise FileFormatError(
+            f"{str(path)!r}: an image is a Zarr store (.zarr) or a NetCDF file (.nc); export it as "
+            "one of these to read it again"
+        )
+    if not path.exists():
+        raise FileFormatError(f"no image {str(path)!r}: there is no such file")
+    store = path.suffix.lower() == ".zarr"
+    try:
+        if store:
+            check_seal(path)
+            with xr.open_zarr(path, chunks=None) as opened:
+                image = opened.load()
+        else:
+            optional("h5netcdf")
+            with xr.open_dataset(path, engine="h5netcdf") as opened:
+                image = opened.load()
+        require_image(image)
+    except (FileFormatError, ExportError):
+        raise
+    except ImageError as error:
+        raise FileFormatError(f"{str(path)!r}: {error}") from None
+    except Exception as error:  # readers fail in many ways on what is damaged
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(
+            f"{str(path)!r} can't be read as an image: {reason}. It is damaged, incomplete or "
+            "something else"
+        ) from error
+    return image

@@ -77,8 +77,8 @@ FLAG_MEANINGS = {
     "TRIGGER_LOST": "the illuminator missed a trigger since the frame before",
 }
 EVENT_MEANINGS = {
-    "RUN_STARTED": "a run began; `value` = label of the run",
-    "RUN_STOPPED": "a run ended; `value` = frames in it, those dropped and aborted included",
+    "RUN_STARTED": "a capture began; `value` = its label",
+    "RUN_STOPPED": "a capture ended; `value` = its frames, those dropped and aborted included",
     "OVERFLOW": "a frame was dropped or aborted; `value` = its number",
     "TRIGGER_LOST": "the illuminator missed triggers; `value` = how many since the last event",
     "TEMPERATURE": "a temperature limit was crossed; `value` = millidegrees Celsius",

@@ -152,7 +152,7 @@ def streams() -> Iterator[Vector]:
         stream.frame(codes[1], abort_at=run)
         stream.frame(codes[2])
         yield stream.finished(f"aborted-{name}")
-    stream = Stream("The camera dropped 3 frames, then 2; new runs start their counts at 1 and 5.")
+    stream = Stream("The camera dropped 3 frames, then 2; new captures begin at 1 and 5.")
     stream.frame(codes[0], frame=4, dropped=4)
     stream.frame(codes[1], frame=8, dropped=7)
     stream.frame(codes[2], frame=11, dropped=9)

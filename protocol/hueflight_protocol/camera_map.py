@@ -109,8 +109,8 @@ _FEATURES = (
 )
 
 _STATE = (
-    Field("running", 1, "a run is on"),
-    Field("stopping", 1, "the run ends after the present frame"),
+    Field("running", 1, "a capture is on"),
+    Field("stopping", 1, "the capture ends after the present frame"),
     Field("exposing", 1, "an exposure is on"),
     Field("sending", 1, "a packet is being sent"),
     Field("stalled", 1, "the link takes no data"),
@@ -133,13 +133,13 @@ def _run() -> list[Register]:
             0x018,
             Access.PULSE,
             (
-                Field("start", 1, "begin a run; counters and the frame number start at 0"),
-                Field("stop", 1, "end the run after the present frame"),
-                Field("abort", 1, "end the run at once; a frame begun is sent as aborted"),
+                Field("start", 1, "begin; counters and the frame number start at 0"),
+                Field("stop", 1, "end after the present frame"),
+                Field("abort", 1, "end at once; a frame begun is sent as aborted"),
             ),
-            "start and stop a run",
+            "start and stop a capture",
         ),
-        Register("capture", 0x019, rw, value(32, "any"), "label of the run, sent in every packet"),
+        Register("capture", 0x019, rw, value(32, "any"), "label of the capture, in every packet"),
         Register(
             "period", 0x01A, rw, value(16, "", reset=32, unit="clock"), "period of the LED trains"
         ),
@@ -149,7 +149,7 @@ def _run() -> list[Register]:
         Register(
             "gap", 0x01C, rw, value(32, "", unit="clock"), "pause between readout and next exposure"
         ),
-        Register("frame_limit", 0x01D, rw, value(32, "0 = until stopped"), "frames in a run"),
+        Register("frame_limit", 0x01D, rw, value(32, "0 = until stopped"), "frames in a capture"),
         Register(
             "trigger",
             0x01E,
@@ -184,15 +184,15 @@ def _counters() -> list[Register]:
 
     return [
         wide("timestamp", 0x020, "device clock", "clock"),
-        wide("frame", 0x022, "number of the present frame in the run"),
-        wide("frames_sent", 0x024, "frames sent whole in this run"),
-        wide("hits", 0x026, "codes other than 0 sent in this run"),
-        wide("periods", 0x028, "triggers sent in this run"),
-        narrow("frames_dropped", 0x02A, "frames dropped whole in this run"),
-        narrow("frames_aborted", 0x02B, "frames aborted in this run"),
-        narrow("triggers_lost", 0x02C, "triggers that the illuminator missed in this run"),
-        narrow("stall_clocks", 0x02D, "clocks in which the link took no data in this run", "clock"),
-        narrow("buffer_peak", 0x02E, "most bytes that waited for the link in this run", "byte"),
+        wide("frame", 0x022, "number of the present frame in the capture"),
+        wide("frames_sent", 0x024, "frames sent whole in this capture"),
+        wide("hits", 0x026, "codes other than 0 sent in this capture"),
+        wide("periods", 0x028, "triggers sent in this capture"),
+        narrow("frames_dropped", 0x02A, "frames dropped whole in this capture"),
+        narrow("frames_aborted", 0x02B, "frames aborted in this capture"),
+        narrow("triggers_lost", 0x02C, "triggers that the illuminator missed in this capture"),
+        narrow("stall_clocks", 0x02D, "clocks in which the link was stalled", "clock"),
+        narrow("buffer_peak", 0x02E, "most bytes that waited for the link in this capture", "byte"),
         Register("sequence", 0x02F, ro, value(32, ""), "number of the next packet, modulo 2^32"),
         Register("marker", 0x030, ro, value(16, ""), "step marker on the inputs now"),
     ]
@@ -256,7 +256,7 @@ def _synthetic() -> list[Register]:
             0x042,
             rw,
             (
-                Field("start", 16, "delay of the scene in the run's first frame", unit="code"),
+                Field("start", 16, "delay of the scene in the first frame", unit="code"),
                 Field("step", 16, "added from frame to frame", unit="code", signed=True),
             ),
             "moving delay of the scene",

@@ -32,7 +32,7 @@ class FrameHeader:
     sequence : int
         Number of the packet since the device's reset, modulo 2**32.
     frame : int
-        Number of the frame since the run began; dropped frames count too.
+        Number of the frame since the capture began; dropped frames count too.
     timestamp : int
         Device clock at the start of the exposure, in clock ticks.
     rows, cols : int
@@ -44,7 +44,7 @@ class FrameHeader:
     periods : int
         Periods per exposure.
     dropped : int
-        Frames the camera dropped whole since the run began.
+        Frames the camera dropped whole since the capture began.
     geometry : int
         Identity of the sensor's geometry; 0 = not stated.
     flags : FrameFlags
@@ -52,7 +52,7 @@ class FrameHeader:
     step : int
         Step marker of the illuminator.
     capture : int
-        Label of the run, as the host set it.
+        Label of the capture, as the host set it.
     clock_hz : int
         Clock ticks per second.
     """

@@ -38,7 +38,7 @@ class PacketHeader:
     timestamp : int
         Device clock when the packet was made, in clock ticks.
     capture : int
-        Label of the run, as the host set it.
+        Label of the capture, as the host set it.
     """
 
     sequence: int
@@ -59,7 +59,7 @@ class Event:
     level : EventLevel
         How grave it is.
     count : int
-        Occurrences since the run began.
+        Occurrences since the capture began.
     value : int
         Depends on the code: bytes lost, millidegrees, …
     """
@@ -80,7 +80,7 @@ class Status:
     header : PacketHeader
         Sequence, timestamp, capture.
     frames_sent, frames_dropped, frames_aborted, triggers_lost : int
-        Since the run began.
+        Since the capture began.
     stall_clocks : int
         Clocks in which the link took no data.
     buffer_peak : int

@@ -78,9 +78,9 @@ class ParserReport:
     restarts : int
         Steps back of the sequence number: the device was reset.
     dropped : int
-        Frames the camera says it dropped, since the first frame seen or the run's start.
+        Frames the camera says it dropped, since the first frame seen or the capture's start.
     dropped_before : int
-        Frames the camera had dropped in this run before the first frame seen.
+        Frames the camera had dropped in this capture before the first frame seen.
     """
 
     packets: int = 0
@@ -255,8 +255,8 @@ class PacketParser:
             self.report.dropped_before = dropped
         else:
             last_capture, last = self._dropped
-            same_run = capture == last_capture and dropped >= last
-            self.report.dropped += dropped - last if same_run else dropped
+            same_capture = capture == last_capture and dropped >= last
+            self.report.dropped += dropped - last if same_capture else dropped
         self._dropped = (capture, dropped)
 
     def _lose(self, error: PacketError) -> None:

@@ -86,9 +86,9 @@ FRAME_HEADER = Layout(
         "length" / Const(STREAMED, U32) * "streamed: the end is found by walking chunks",
         "sequence" / U32 * "number of the packet since reset, modulo 2^32",
         "timestamp" / U64 * "device clock at the start of the exposure, in clock ticks",
-        "frame" / U64 * "number of the frame since the run began; dropped frames count too",
+        "frame" / U64 * "number of the frame since the capture began; dropped frames count too",
         "periods" / U32 * "periods per exposure",
-        "dropped" / U32 * "frames dropped whole since the run began, saturating",
+        "dropped" / U32 * "frames dropped whole since the capture began, saturating",
         "rows" / U16 * "1 to 1024",
         "cols" / U16 * "1 to 1024",
         "run" / U16 * "pixels per chunk, a multiple of 8 from 8 to 4096",
@@ -96,7 +96,7 @@ FRAME_HEADER = Layout(
         "geometry" / U8 * "identity of the sensor's geometry; 0 = not stated",
         "flags" / U16 * "see frame flags",
         "step" / U16 * "step marker of the illuminator during the exposure",
-        "capture" / U32 * "label of the run, as the host set it",
+        "capture" / U32 * "label of the capture, as the host set it",
         "clock_hz" / U32 * "clock ticks per second",
         "check" / U32 * "exclusive or of the 15 words before it",
     )
@@ -112,7 +112,7 @@ PACKET_HEADER = Layout(
         "length" / U32 * "bytes of body, 0 to 2^20, padding not counted",
         "sequence" / U32 * "number of the packet since reset, modulo 2^32",
         "timestamp" / U64 * "device clock when the packet was made, in clock ticks",
-        "capture" / U32 * "label of the run, as the host set it",
+        "capture" / U32 * "label of the capture, as the host set it",
         "check" / U32 * "exclusive or of the 7 words before it",
     )
 )
@@ -179,8 +179,8 @@ EVENT_BODY = Layout(
     Struct(
         "code" / U16 * "see event codes",
         "level" / U8 * "0 = info, 1 = warning, 2 = error",
-        "reserved" / Const(0, U8) * "0",
-        "count" / U32 * "occurrences since the run began, saturating",
+        "reserved" / Const(0, U8) * "for later",
+        "count" / U32 * "occurrences since the capture began, saturating",
         "value" / I64 * "depends on the code",
     )
 )
@@ -188,12 +188,12 @@ EVENT_BODY = Layout(
 
 STATUS_BODY = Layout(
     Struct(
-        "frames_sent" / U64 * "whole frames sent since the run began",
-        "frames_dropped" / U32 * "frames dropped whole since the run began, saturating",
-        "frames_aborted" / U32 * "frames sent as aborted packets since the run began, saturating",
+        "frames_sent" / U64 * "whole frames sent since the capture began",
+        "frames_dropped" / U32 * "frames dropped whole since the capture began, saturating",
+        "frames_aborted" / U32 * "frames aborted since the capture began, saturating",
         "triggers_lost" / U32 * "triggers that the illuminator missed, saturating",
         "stall_clocks" / U32 * "clocks in which the link took no data, saturating",
-        "buffer_peak" / U32 * "most bytes ever waiting for the link since the run began",
+        "buffer_peak" / U32 * "most bytes ever waiting for the link since the capture began",
         "temperature_mdeg" / I32 * "millidegrees Celsius; -2^31 = not measured",
     )
 )

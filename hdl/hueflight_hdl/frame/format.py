@@ -1,0 +1,205 @@
+"""What a formatter is built for: geometry, code width, lanes, run length, chunk banks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from amaranth.lib import data
+
+from hueflight_protocol.errors import HueflightError, ProtocolError
+from hueflight_protocol.frame import FrameHeader
+from hueflight_protocol.wire import DEFAULT_RUN, dense_from
+
+GROUP = 8
+"""Codes in a group: at every width they fill whole bytes."""
+LANES = (1, 2, 4, 8)
+BANKS = (2, 4, 8, 16)
+
+
+class FormatError(HueflightError):
+    """A formatter that can't be built as asked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFormat:
+    """Sizes of a formatter.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Geometry in pixels, each 1 to 1024.
+    code_bits : int
+        Width of a code, 1 to 16.
+    lanes : int
+        Codes per clock at the sensor port: 1, 2, 4 or 8.
+    run : int
+        Pixels per chunk, a multiple of 8 from 8 to 4096.
+    geometry : int
+        Identity of the geometry, as in frame headers; 0 = not stated.
+    clock_hz : int
+        Frequency of the device clock, as in frame headers.
+    banks : int
+        Chunks that are held between sensor and link: 2, 4, 8 or 16. Eight chunks of 512
+        nine-bit codes just fill ECP5's block memories.
+
+    Raises
+    ------
+    FormatError
+        If a number is out of its range.
+    """
+
+    rows: int = 192
+    cols: int = 128
+    code_bits: int = 9
+    lanes: int = 8
+    run: int = DEFAULT_RUN
+    geometry: int = 0
+    clock_hz: int = 100_000_000
+    banks: int = 8
+
+    def __post_init__(self) -> None:
+        if self.lanes not in LANES:
+            raise FormatError(f"lanes = {self.lanes}: must be one of {LANES}")
+        if self.banks not in BANKS:
+            raise FormatError(f"banks = {self.banks}: must be one of {BANKS}")
+        try:
+            self.header()
+        except ProtocolError as error:
+            raise FormatError(str(error)) from error
+
+    def header(self) -> bytes:
+        """Return a frame header with all that is fixed by the build, the rest 0."""
+        return FrameHeader(
+            sequence=0,
+            frame=0,
+            timestamp=0,
+            rows=self.rows,
+            cols=self.cols,
+            code_bits=self.code_bits,
+            run=self.run,
+            geometry=self.geometry,
+            clock_hz=self.clock_hz,
+            periods=0,
+        ).pack()
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of a frame."""
+        return self.rows * self.cols
+
+    @property
+    def chunks(self) -> int:
+        """Runs of a frame, empty ones too."""
+        return -(-self.pixels // self.run)
+
+    @property
+    def beats(self) -> int:
+        """Clocks in which a frame comes from the sensor; the last one may be partly unused."""
+        return -(-self.pixels // self.lanes)
+
+    @property
+    def last_lanes(self) -> int:
+        """Lanes that carry a pixel in a frame's last beat."""
+        return self.pixels - self.lanes * (self.beats - 1)
+
+    def chunk(self, *, last: bool) -> ChunkFormat:
+        """Return the sizes of a frame's last chunk, or of all others."""
+        pixels = self.pixels - self.run * (self.chunks - 1) if last else self.run
+        return ChunkFormat(pixels, self.code_bits, self.lanes)
+
+    @property
+    def bank_groups(self) -> int:
+        """Groups that a bank has addresses for."""
+        return 1 << (self.run // GROUP - 1).bit_length()
+
+    @property
+    def hit_bits(self) -> int:
+        """Width of a chunk's number of hits."""
+        return self.run.bit_length()
+
+    def codes_layout(self, count: int) -> data.ArrayLayout:
+        """Return the layout of `count` codes side by side, the first in the low bits."""
+        return data.ArrayLayout(self.code_bits, count)
+
+    @property
+    def beat_layout(self) -> data.StructLayout:
+        """One clock of the sensor, once it is known what it ends."""
+        return data.StructLayout(
+            {
+                "codes": self.codes_layout(self.lanes),
+                "first": 1,  # beat of a frame
+                "chunk_end": 1,
+                "frame_end": 1,
+                "abort": 1,  # no codes; what there is of the chunk is void
+            }
+        )
+
+    @property
+    def group_layout(self) -> data.StructLayout:
+        """Eight codes in readout order."""
+        return data.StructLayout(
+            {
+                "codes": self.codes_layout(GROUP),
+                "chunk_end": 1,
+                "frame_end": 1,
+                "abort": 1,
+            }
+        )
+
+
+@dataclass(frozen=True)
+class ChunkFormat:
+    """Sizes of one chunk.
+
+    Parameters
+    ----------
+    pixels, code_bits, lanes : int
+        As in `FrameFormat`.
+    """
+
+    pixels: int
+    code_bits: int
+    lanes: int
+
+    @property
+    def beats(self) -> int:
+        """Clocks at the sensor port."""
+        return -(-self.pixels // self.lanes)
+
+    @property
+    def groups(self) -> int:
+        """Groups, the last one filled up with 0."""
+        return -(-self.pixels // GROUP)
+
+    @property
+    def dense_from(self) -> int:
+        """Hits from which on the chunk is sent dense."""
+        return dense_from(self.pixels, self.code_bits)
+
+    @property
+    def bitmap_bytes(self) -> int:
+        """Bytes of the bitmap."""
+        return -(-self.pixels // 8)
+
+
+def tail_bytes(codes: int, code_bits: int, /) -> int:
+    """Return the bytes that the last group of `codes` codes takes, 1 to `code_bits`."""
+    left = (codes - 1) % GROUP + 1
+    return -(-left * code_bits // 8)
+
+
+INFO_LAYOUT = data.StructLayout(
+    {
+        "timestamp": 64,
+        "frame": 64,
+        "periods": 32,
+        "dropped": 32,
+        "flags": 16,
+        "step": 16,
+        "capture": 32,
+    }
+)
+"""What a frame's header says beyond the build; taken over with the frame's first beat."""
+
+WORD_LAYOUT = data.StructLayout({"data": 64, "last": 1})
+"""Eight bytes of a packet, the first in the low bits; the last word of a packet is marked."""

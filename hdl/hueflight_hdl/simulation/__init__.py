@@ -1,0 +1,1 @@
+"""Simulation of gateware at millions of clocks a second, through CXXRTL."""

@@ -16,7 +16,7 @@ from hueflight.instrument import Instrument
 from hueflight_protocol import camera_map
 from hueflight_protocol.camera_map import BOARD
 
-READOUT_BYTES_PER_S = 40e6  #: what a link surely carries; larger transfers would only add delay
+MAX_BYTES_PER_S = 400e6  #: what USB 3 carries in practice
 TRANSFER_S = 0.004  #: a transfer holds about this much of the stream
 MIN_TRANSFER_BYTES, MAX_TRANSFER_BYTES = 1 << 14, 1 << 20
 _GEOMETRY_ADDRESS, _GEOMETRY_WORDS = 0x010, 3
@@ -168,31 +168,36 @@ class Camera:
     def mask(self, pixels: NDArray[np.bool_], /) -> None:
         """Have the camera send nothing of these pixels (row, col), the hot ones; none: all."""
         if pixels.shape != (self.rows, self.cols):
-            raise DeviceError(
-                f"mask has shape {pixels.shape}: must be ({self.rows}, {self.cols})"
-            )
+            raise DeviceError(f"mask has shape {pixels.shape}: must be ({self.rows}, {self.cols})")
         bits = np.packbits(pixels.reshape(-1), bitorder="little")
         padded = np.zeros(-(-bits.size // 4) * 4, np.uint8)
         padded[: bits.size] = bits
         self.board.write_elements("pixel_mask", padded.view("<u4").tolist())
         self.board.write("filters", mask=int(pixels.any()))
 
-    def start(self, *, capture: int = 0, frame_limit: int = 0, rate_hz: float = 1000.0) -> None:
-        """Begin a run and listen to the stream.
+    def listen(self, *, rate_hz: float = 1000.0) -> None:
+        """Open the packet stream, if it is not open.
+
+        Parameters
+        ----------
+        rate_hz : frames per second to expect; sets the size of transfers, for short delays.
+        """
+        if self._stream is not None:
+            return
+        frame_bytes = self.rows * self.cols * self.code_bits / 8 / 2
+        wanted = int(min(frame_bytes * rate_hz, MAX_BYTES_PER_S) * TRANSFER_S)
+        size = min(max(1 << wanted.bit_length(), MIN_TRANSFER_BYTES), MAX_TRANSFER_BYTES)
+        self._stream = self._open_stream(size)
+
+    def start(self, *, capture: int = 0, frame_limit: int = 0) -> None:
+        """Begin a run; frame numbers and counters start at 0.
 
         Parameters
         ----------
         capture : label in every packet of the run.
         frame_limit : frames after which the run ends by itself, 0 for none.
-        rate_hz : frames per second to expect; sets the size of transfers, for short delays.
         """
-        frame_bytes = self.rows * self.cols * self.code_bits / 8 / 2
-        wanted = min(frame_bytes * rate_hz, READOUT_BYTES_PER_S * 10) * TRANSFER_S
-        size = 1 << max(0, int(wanted)).bit_length()
-        if self._stream is None:
-            self._stream = self._open_stream(
-                min(max(size, MIN_TRANSFER_BYTES), MAX_TRANSFER_BYTES)
-            )
+        self.listen()
         self.board.write("capture", value=capture)
         self.board.write("frame_limit", value=frame_limit)
         self.board.write("run", start=1)

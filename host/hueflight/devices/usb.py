@@ -194,9 +194,7 @@ def _devices() -> list[Any]:
             "libusb-1.0 is not installed: without it no camera can be found (Debian: apt install "
             "libusb-1.0-0)"
         )
-    found = usb.core.find(
-        find_all=True, idVendor=VENDOR_ID, idProduct=PRODUCT_ID, backend=backend
-    )
+    found = usb.core.find(find_all=True, idVendor=VENDOR_ID, idProduct=PRODUCT_ID, backend=backend)
     return list(found or ())
 
 

@@ -5,8 +5,12 @@ once. When the queue is full, transfers rest until there is room: the camera the
 frames and counts them, which is better than a stream with holes that nobody counted.
 """
 
+# libusb1 makes its constants and errors at run time, out of a checker's sight
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -103,7 +107,7 @@ class UsbStream:
             ) from None
         except usb1.USBError as error:
             self._context.close()
-            raise DeviceGoneError(f"{self._name}: can't open the camera's stream: {error}") from None
+            raise DeviceGoneError(f"{self._name}: can't open the stream: {error}") from None
         self._context.close()
         raise DeviceGoneError(f"{self._name}: the camera was unplugged")
 
@@ -195,10 +199,8 @@ class UsbStream:
         self._release()
 
     def _release(self) -> None:
-        try:
+        with contextlib.suppress(usb1.USBError):  # if it is gone, nothing is left to release
             self._handle.releaseInterface(STREAM_INTERFACE)
-        except usb1.USBError:
-            pass  # it is gone; there is nothing left to release
         self._resting.clear()
         self._all.clear()
         self._handle.close()
@@ -207,10 +209,8 @@ class UsbStream:
     def _cancel_all(self) -> None:
         for transfer in self._all:
             if transfer.isSubmitted():
-                try:
+                with contextlib.suppress(usb1.USBError):  # just finished: its callback comes anyway
                     transfer.cancel()
-                except usb1.USBError:
-                    pass  # it has just finished; its callback comes all the same
 
     def _arrived(self, transfer: Any) -> None:
         """Book a finished transfer and send it on its way again; libusb calls this."""

@@ -1,13 +1,19 @@
-"""What people ask of images: regions, cuts, differences, series, transmittance."""
+"""What people ask of images: regions, cuts, differences, series, libraries, transmittance."""
 
+from hueflight.analysis.color_difference import delta_e_2000, lab
 from hueflight.analysis.comparison import compare, spectral_angle
+from hueflight.analysis.library import SpectralLibrary, match
 from hueflight.analysis.profiles import profile
 from hueflight.analysis.regions import parse_region, region_spectra, reliable
 from hueflight.analysis.series import stack, trend
 from hueflight.analysis.transmittance import transmittance
 
 __all__ = [
+    "SpectralLibrary",
     "compare",
+    "delta_e_2000",
+    "lab",
+    "match",
     "parse_region",
     "profile",
     "region_spectra",

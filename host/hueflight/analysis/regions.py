@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.errors import HueflightError
-from hueflight.images import finite
+from hueflight.images import SERIES_DIM, finite
 from hueflight.reconstruction.quality import Quality
 
 #: mask (row, col), or a pair of slices
@@ -56,6 +56,7 @@ def region_spectra(image: xr.Dataset, regions: Mapping[str, Region], /) -> xr.Da
     masks = [region_mask(region, shape, name=name) for name, region in regions.items()]
     means = [_region_mean(image, mask) for mask in masks]
     spectra = xr.concat(means, dim="region").assign_coords(region=list(regions))
+    spectra = spectra.transpose(SERIES_DIM, "region", "band", missing_dims="ignore")
     spectra.attrs = {**image.attrs, "title": "Mean spectra of regions"}
     return spectra
 

@@ -1,0 +1,198 @@
+"""Measured spectra against a library of reference spectra."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.analysis.color_difference import delta_e_2000, lab
+from hueflight.analysis.comparison import spectral_angle
+from hueflight.errors import FileFormatError, HueflightError
+from hueflight.instrument import Instrument
+from hueflight.simulator.colorchecker import PATCHES, patch_reflectances, tristimulus_weights
+from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights
+
+COLOR_NM = np.arange(380.0, 731.0, 10.0)  #: where `tristimulus_weights` samples
+SMOOTHNESS = 0.95  #: correlation of a natural reflectance with itself 10 nm further
+NOISE = 0.01  #: deviation of band values for which the colour estimate is balanced
+
+
+@dataclass(frozen=True)
+class SpectralLibrary:
+    """Reference reflectance spectra.
+
+    Attributes
+    ----------
+    names : of the entries.
+    wavelengths_nm : (wavelength,), rising.
+    reflectance : (entry, wavelength), 0 to 1 (fluorescence may exceed it).
+    """
+
+    names: tuple[str, ...]
+    wavelengths_nm: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        shape = (len(self.names), self.wavelengths_nm.size)
+        if self.reflectance.shape != shape or 0 in shape:
+            raise HueflightError(
+                f"a library of {shape[0]} names and {shape[1]} wavelengths needs reflectances of "
+                f"shape {shape}; they have {self.reflectance.shape}"
+            )
+        if not (np.diff(self.wavelengths_nm) > 0).all():
+            raise HueflightError("the library's wavelengths must rise from line to line")
+        if not np.isfinite(self.reflectance).all():
+            raise HueflightError("the library's reflectances must all be numbers")
+
+    @classmethod
+    def load(cls, path: str | Path, /) -> SpectralLibrary:
+        """From CSV: a first column of wavelengths in nm, then one column per named spectrum.
+
+        Raises
+        ------
+        FileFormatError
+            If there is no such file, or a line holds no numbers, saying which.
+        """
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except (OSError, UnicodeDecodeError) as error:
+            raise FileFormatError(f"can't read library {str(path)!r}: {error}") from None
+        lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+        head, *rows = list(csv.reader(lines)) or [[]]
+        if len(head) < 2 or not rows:
+            raise FileFormatError(
+                f"library {str(path)!r}: give a heading with names, then lines of a wavelength in "
+                "nm and one reflectance for each name"
+            )
+        values = []
+        for number, row in enumerate(rows, start=2):
+            try:
+                values.append([float(entry) for entry in row])
+            except ValueError:
+                raise FileFormatError(f"library {str(path)!r}, line {number}: {row}") from None
+            if len(row) != len(head):
+                raise FileFormatError(
+                    f"library {str(path)!r}, line {number} has {len(row)} entries, the heading "
+                    f"{len(head)}"
+                )
+        table = np.array(values)
+        try:
+            return cls(tuple(name.strip() for name in head[1:]), table[:, 0], table[:, 1:].T.copy())
+        except HueflightError as error:
+            raise FileFormatError(f"library {str(path)!r}: {error}") from None
+
+    @classmethod
+    def colorchecker(cls) -> SpectralLibrary:
+        """The 24 patches of a ColorChecker, as the simulator paints them."""
+        return cls(tuple(PATCHES), WAVELENGTH_NM, patch_reflectances())
+
+    def at(self, wavelengths_nm: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Reflectance (entry, wavelength) elsewhere, straight between points, level beyond."""
+        return np.array(
+            [np.interp(wavelengths_nm, self.wavelengths_nm, entry) for entry in self.reflectance]
+        )
+
+    def in_bands(self, instrument: Instrument) -> xr.DataArray:
+        """What the instrument would measure of each entry, (entry, band).
+
+        Raises
+        ------
+        HueflightError
+            If a band lies outside the library's wavelengths.
+        """
+        low, high = self.wavelengths_nm[0], self.wavelengths_nm[-1]
+        for band in instrument.bands:
+            if not low <= band.wavelength_nm <= high:
+                raise HueflightError(
+                    f"band {band.name!r} at {band.wavelength_nm:g} nm lies outside the library, "
+                    f"which reaches from {low:g} to {high:g} nm"
+                )
+        values = self.at(WAVELENGTH_NM) @ band_weights(instrument).T
+        return xr.DataArray(values, dims=("entry", "band"), coords={"entry": list(self.names)})
+
+
+def match(spectra: xr.DataArray, library: SpectralLibrary, instrument: Instrument, /) -> xr.Dataset:
+    """Each measured spectrum's likeness to every entry of a library.
+
+    Parameters
+    ----------
+    spectra : (…, band) reflectances, such as `image["reflectance"]` or those of regions.
+    library : reference spectra.
+    instrument : whose bands they were measured in.
+
+    Returns
+    -------
+    Dataset with `angle` (…, entry), radians, which is blind to brightness; `delta_e` (…,
+    entry), CIEDE2000 under CIE illuminant C, of the colours that band values and library bands
+    give through the same map; `best` (…), the name of the smallest angle, empty where nothing
+    is known. `delta_e` is NaN without a band between 400 and 700 nm.
+
+    Raises
+    ------
+    HueflightError
+        If the bands don't fit.
+
+    Notes
+    -----
+    Colours come from a Wiener estimate of the smooth spectrum behind the bands (Pratt and
+    Mancill, Appl. Opt. 15, 73, 1976), with bands at negative values taken as 0.
+    """
+    if spectra.sizes.get("band") != len(instrument.bands):
+        raise HueflightError(
+            f"the spectra have {dict(spectra.sizes)}, instrument {instrument.name!r} has "
+            f"{len(instrument.bands)} bands"
+        )
+    entries = library.in_bands(instrument)
+    angle = spectral_angle(spectra, entries)
+    visible = any(400 <= band.wavelength_nm <= 700 for band in instrument.bands)
+    to_xyz = bands_to_xyz(instrument) if visible else np.full((3, len(instrument.bands)), np.nan)
+    white = tristimulus_weights().sum(axis=1)
+
+    def colour(values: xr.DataArray) -> NDArray[np.float64]:
+        ordered = values.transpose(..., "band").values
+        return lab(np.maximum(ordered, 0) @ to_xyz.T, white=white)
+
+    outer = [dim for dim in spectra.dims if dim != "band"]
+    difference = delta_e_2000(colour(spectra)[..., None, :], colour(entries))
+    names = np.array(library.names)
+    known = angle.notnull().all("entry")
+    nearest = angle.fillna(np.inf).argmin("entry")
+    found = {
+        "angle": angle.transpose(*outer, "entry").assign_attrs(units="rad"),
+        "delta_e": ((*outer, "entry"), difference, {"units": "1", "long_name": "CIEDE2000"}),
+        "best": (outer, np.where(known, names[nearest.values], "")),
+    }
+    return xr.Dataset(found)
+
+
+def bands_to_xyz(instrument: Instrument, *, noise: float = NOISE) -> NDArray[np.float64]:
+    """Map (3, band) from band reflectances to XYZ under CIE illuminant C; white has Y = 1.
+
+    The spectrum is taken as smooth, of unknown level; with more `noise` (standard deviation
+    of a band) the map relies more on that.
+    """
+    shares = _at_color_nodes(band_weights(instrument))
+    apart = np.abs(COLOR_NM[:, None] - COLOR_NM) / 10
+    # the large constant leaves the level open, so that neutral surfaces come out neutral
+    prior = 0.05 * SMOOTHNESS**apart + 1e3
+    measured = shares @ prior @ shares.T + noise**2 * np.eye(len(shares))
+    spectrum = np.linalg.solve(measured, shares @ prior).T  # (wavelength, band)
+    return tristimulus_weights() @ spectrum
+
+
+def _at_color_nodes(weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (band, wavelength) gathered onto the colour nodes; light beyond goes to the ends."""
+    place = np.clip((WAVELENGTH_NM - COLOR_NM[0]) / 10, 0, COLOR_NM.size - 1)
+    lower = np.minimum(place.astype(np.intp), COLOR_NM.size - 2)
+    share = place - lower
+    gathered = np.zeros((weights.shape[0], COLOR_NM.size))
+    for band, row in enumerate(weights):
+        np.add.at(gathered[band], lower, row * (1 - share))
+        np.add.at(gathered[band], lower + 1, row * share)
+    return gathered

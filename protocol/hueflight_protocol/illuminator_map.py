@@ -48,9 +48,6 @@ def illuminator_map(
     lanes: int = 4,
     tick_fs: int = 1_250_000,
     clock_hz: int = 200_000_000,
-    max_on_ticks: int = 80,
-    duty_on_ticks: int = 80,
-    duty_window_ticks: int = 256,
 ) -> RegisterMap:
     """Return the illuminator's register map; addresses are the same for every build.
 
@@ -68,10 +65,6 @@ def illuminator_map(
         Length of a tick in femtoseconds.
     clock_hz : int
         Frequency of the pulse generator's clock.
-    max_on_ticks : int
-        Longest time that a channel may be on without a pause.
-    duty_on_ticks, duty_window_ticks : int
-        A channel is on for at most the first in any window of the second.
 
     Raises
     ------
@@ -86,7 +79,7 @@ def illuminator_map(
     ):
         if not 1 <= number <= high:
             raise RegisterError(f"{name} = {number}: must be from 1 to {high}")
-    limits = [
+    build = [
         Register(
             "capacity",
             0x010,
@@ -106,23 +99,6 @@ def illuminator_map(
             value(32, "", reset=tick_fs, unit="fs"),
             "length of a tick",
         ),
-        Register(
-            "max_on",
-            0x012,
-            Access.CONST,
-            value(16, "", reset=max_on_ticks, unit="tick"),
-            "longest time that a channel may be on without a pause",
-        ),
-        Register(
-            "max_duty",
-            0x013,
-            Access.CONST,
-            (
-                Field("on_ticks", 16, "on at most this long", reset=duty_on_ticks, unit="tick"),
-                Field("window_ticks", 16, "in any window", reset=duty_window_ticks, unit="tick"),
-            ),
-            "largest duty of a channel",
-        ),
     ]
     common = common_registers(
         BOARD, clock_hz=clock_hz, features=_FEATURES, state=_STATE, faults=_FAULTS
@@ -131,7 +107,7 @@ def illuminator_map(
         "illuminator",
         [
             *common,
-            *limits,
+            *build,
             *_safety(channels),
             *_trigger(lanes),
             *_sequencer(channels, steps),
@@ -203,6 +179,20 @@ def _safety(channels: int) -> list[Register]:
             value(channels, "bit k: channel k"),
             "channels held back by the duty limit",
         ),
+        Register(
+            "limit",
+            0x060,
+            Access.CONST,
+            (
+                Field("on_ticks", 12, "on at most this long without a pause", unit="tick"),
+                Field("burst_ticks", 12, "see the meaning", unit="tick"),
+                Field("duty_divisor", 8, "see the meaning; 1 = no limit"),
+            ),
+            "what no register can exceed, per channel: in any stretch of L ticks it is on for at "
+            "most L / `duty_divisor` + `burst_ticks`",
+            count=(channels,),
+            strides=(1,),
+        ),
     ]
 
 
@@ -226,7 +216,7 @@ def _trigger(lanes: int) -> list[Register]:
             0x021,
             Access.RW,
             value(16, "", reset=256, unit="tick"),
-            "period of the internal trigger",
+            "period of the internal trigger; at least 8 clocks",
         ),
         Register("trigger_now", 0x022, Access.PULSE, value(1, "start a train"), "software trigger"),
         Register(
@@ -267,14 +257,14 @@ def _trigger(lanes: int) -> list[Register]:
                 Field("max", 8, "largest since cleared", unit="tick"),
                 Field("valid", 1, "a trigger was seen since cleared"),
             ),
-            "position of the external trigger within the clock",
+            "position of served external triggers within the clock",
         ),
         Register(
             "phase_count",
             0x038,
             Access.RO,
             counter,
-            "triggers at each phase, saturating",
+            "served external triggers at each phase, saturating",
             count=(lanes,),
             strides=(1,),
         ),
@@ -314,7 +304,7 @@ def _sequencer(channels: int, steps: int) -> list[Register]:
             0x052,
             Access.RO,
             value(32, "triggers or frame syncs"),
-            "what is left of the present step, its idle part included",
+            "what is left of the present step, its idle part included; saturating",
         ),
         program(
             "step_setup",
@@ -348,7 +338,7 @@ def _schedule(channels: int, pulses: int) -> list[Register]:
             0x042,
             Access.RW,
             value(13, "1 to 4096", reset=256, unit="tick"),
-            "length of a train, per bank",
+            "length of a train, per bank; whole clocks of it count, 8 at least",
             count=(BANKS,),
             strides=(1,),
         ),

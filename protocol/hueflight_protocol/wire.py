@@ -223,11 +223,6 @@ def padded(size: int, multiple: int, /) -> int:
     return -(-size // multiple) * multiple
 
 
-def bitmap_bytes(pixels: int, hits: int, code_bits: int, /) -> int:
-    """Return the payload bytes of a bitmap chunk, padding included."""
-    return padded(-(-pixels // 8) + -(-hits * code_bits // 8), 4)
-
-
 def dense_bytes(pixels: int, code_bits: int, /) -> int:
     """Return the payload bytes of a dense chunk, padding included."""
     return padded(-(-pixels * code_bits // 8), 4)

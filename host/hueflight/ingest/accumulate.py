@@ -222,6 +222,8 @@ def checked_threads(threads: int, /) -> int:
 
 def frames_by_step(scanner: Scanner, /) -> list[tuple[int, int, NDArray[np.uint32]]]:
     """Steps and scan positions among the frames at hand, and which frames have each."""
+    if not scanner.frames:
+        return []
     markers = scanner.header_fields()["step"]
     positions = scanner.sensor.scan_steps
     if (markers == markers[0]).all():

@@ -16,6 +16,7 @@ from hueflight_protocol.wire import DEFAULT_RUN, FRAME_HEADER, MAX_CHUNKS
 BATCH_FRAMES = 1024  # frames counted together: few enough that their packets stay in the cache
 WINDOW_BYTES = 1 << 30  # scanned at a time; places in the tables are 32-bit
 OTHERS = 64
+CARRIED = ("in_step", "has_sequence", "sequence", "has_dropped", "capture", "last_dropped")
 
 
 @dataclass(slots=True)
@@ -86,6 +87,12 @@ class Scanner:
     def clear(self) -> None:
         """Forget the frames at hand, not the totals."""
         self.frames = 0
+
+    def reset_totals(self) -> None:
+        """Start the totals anew; what is carried from packet to packet stays."""
+        for number, name in enumerate(STATE):
+            if name not in CARRIED:
+                self.state[number] = 0
 
     def header_fields(self) -> NDArray[np.void]:
         """Headers of the frames at hand, as a structured array (frame,)."""

@@ -1,0 +1,328 @@
+"""Getting out of damaged or unfinished recordings whatever is intact in them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd, Header, MessageIndex, Metadata
+
+from hueflight.errors import InstrumentError, RecordingError
+from hueflight.ingest.buffer import PacketBuffer, pieces
+from hueflight.ingest.kernels import Kernels, choose
+from hueflight.instrument import Instrument, Sensor
+from hueflight.recording.layout import (
+    DESCRIPTION,
+    INSTRUMENT,
+    OWN_NAMES,
+    PART,
+    Description,
+    segment_files,
+)
+from hueflight.recording.records import (
+    MAGIC,
+    PAYLOAD_OFFSET,
+    RECORD_HEAD,
+    decode,
+    decode_attachment,
+    decode_chunk,
+    walk,
+)
+from hueflight.recording.segment_reader import SegmentReader
+from hueflight.recording.writer import RecordingWriter
+
+PIECE_BYTES = 4 << 20
+SECTOR_BYTES = 4096
+MOST_RECORD_BYTES = 1 << 30
+_SMALL = {
+    Opcode.HEADER: Header,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.MESSAGE_INDEX: MessageIndex,
+    Opcode.DATA_END: DataEnd,
+}
+
+
+class Outcome(IntEnum):
+    """How a recovery went; the numbers are exit codes of ``hueflight recover``."""
+
+    WHOLE = 0
+    NOTHING = 1
+    LOSSY = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovery:
+    """What was recovered.
+
+    Attributes
+    ----------
+    outcome : WHOLE if every byte of every file was in its place and no file is missing, be the
+        last one finished or not; LOSSY otherwise; NOTHING if there was no intact packet.
+    path : the new recording, or None if there was nothing.
+    files : files that were read.
+    frames : frames in the new recording.
+    damaged_bytes : bytes that belong to no intact record. Packets in them that are intact
+        themselves are kept.
+    missing_segments : files between others, or behind them, that are not there.
+    unfinished : files whose writing did not come to its end.
+    """
+
+    outcome: Outcome
+    path: Path | None
+    files: tuple[str, ...]
+    frames: int
+    damaged_bytes: int
+    missing_segments: int
+    unfinished: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        path = None if self.path is None else str(self.path)
+        return asdict(self) | {"outcome": self.outcome.name.lower(), "path": path}
+
+
+@dataclass(slots=True)
+class _Examined:
+    """What is intact in one file."""
+
+    path: Path
+    size: int = 0
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    description: Description | None = None
+    stream: list[tuple[int, int]] = field(default_factory=list)  # place and size, in order
+    damaged_bytes: int = 0
+    last: bool = True  # nothing says that there must be a segment behind it
+
+
+def recover(
+    path: str | Path,
+    out: str | Path | None = None,
+    /,
+    *,
+    instrument: Instrument | None = None,
+    overwrite: bool = False,
+    kernels: Kernels | None = None,
+) -> Recovery:
+    """Write all that is left of a recording into a new one. The old files stay as they are.
+
+    Chunks whose CRC is right are copied; so are damaged stretches, since packets in them that
+    are intact themselves count, and no others do: each has a CRC of its own.
+
+    Parameters
+    ----------
+    path : path of the recording's first file, ``name.mcap``
+    out : path, by default ``name.recovered.mcap``
+    instrument : Instrument, optional
+        Used where no file says any more which one it was.
+    overwrite : bool
+        Replace a recording at `out`.
+
+    Raises
+    ------
+    RecordingError
+        If there are no files, they are of several recordings, none says which instrument it
+        was, or the new recording can't be written.
+    """
+    path = Path(path)
+    out = path.with_suffix(f".recovered{path.suffix}") if out is None else Path(out)
+    files = _files(path)
+    found = [_examine(file) for file in files.values()]
+    described = instrument or _instrument(found)
+    if described is None:
+        if any(_has_packets(each) for each in found):
+            raise RecordingError(
+                f"{path}: no file says any more which instrument it was: name the instrument"
+            )
+        return _recovery(Outcome.NOTHING, files, found)
+    known = [each.description for each in found if each.description is not None]
+    if len({each.recording for each in known}) > 1:
+        raise RecordingError(f"{path}: its files are of several recordings: move some elsewhere")
+    attachments: dict[str, bytes] = {}
+    for each in reversed(found):
+        attachments |= each.attachments
+    with RecordingWriter(
+        out,
+        described,
+        metadata=known[0].metadata if known else None,
+        attachments={name: attachments[name] for name in attachments if name not in OWN_NAMES},
+        overwrite=overwrite,
+        kernels=kernels,
+    ) as writer:
+        for each in found:
+            for piece in _stream(each):
+                writer.write(piece)
+    if not writer.report.packets:
+        for file in segment_files(out)[0]:
+            file.unlink()
+        return _recovery(Outcome.NOTHING, files, found)
+    return _recovery(Outcome.WHOLE, files, found, path=out, frames=writer.frames)
+
+
+def _recovery(
+    outcome: Outcome,
+    files: dict[int, Path],
+    found: list[_Examined],
+    *,
+    path: Path | None = None,
+    frames: int = 0,
+) -> Recovery:
+    damaged = sum(each.damaged_bytes for each in found)
+    missing = max(files) + 1 - len(files) + (not found[-1].last)
+    if outcome == Outcome.WHOLE and (damaged or missing):
+        outcome = Outcome.LOSSY
+    return Recovery(
+        outcome=outcome,
+        path=path,
+        files=tuple(str(file) for file in files.values()),
+        frames=frames,
+        damaged_bytes=damaged,
+        missing_segments=missing,
+        unfinished=sum(file.suffix == PART for file in files.values()),
+    )
+
+
+def _files(path: Path) -> dict[int, Path]:
+    """All files of a recording, finished or not, by the number of the segment."""
+    finished, unfinished = segment_files(path)
+    files: dict[int, Path] = {}
+    for file in (*unfinished, *finished):
+        base = file.with_suffix("") if file.suffix == PART else file
+        files[0 if base == path else int(base.suffixes[-2][1:])] = file
+    if not files:
+        raise RecordingError(f"no recording {str(path)!r}: there is no such file, nor a part of it")
+    return dict(sorted(files.items()))
+
+
+class _Disk:
+    """A file on a disk that may have bad sectors: those read as zeros."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            self._fd = os.open(path, os.O_RDONLY)
+        except OSError as error:
+            raise RecordingError(f"can't read {path}: {error.strerror or error}") from None
+        self.size = os.fstat(self._fd).st_size
+        self.unreadable = 0
+
+    def __enter__(self) -> _Disk:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._fd)
+
+    def read(self, at: int, size: int) -> bytes:
+        """Bytes of the file; fewer at its end."""
+        with suppress(OSError):
+            return os.pread(self._fd, size, at)
+        if size <= SECTOR_BYTES:
+            self.unreadable += size
+            return bytes(size)
+        return b"".join(
+            self.read(start, min(SECTOR_BYTES, at + size - start))
+            for start in range(at, at + size, SECTOR_BYTES)
+        )
+
+
+def _examine(path: Path) -> _Examined:
+    """Go through a file's records, and note the stream and what is damaged."""
+    with _Disk(path) as disk:
+        found = _Examined(path, disk.size)
+        at = len(MAGIC) if disk.read(0, len(MAGIC)) == MAGIC else 0
+        found.damaged_bytes += 0 if at else min(len(MAGIC), disk.size)
+        ended = False
+        for opcode, start, size in walk(disk.read, at or len(MAGIC), disk.size):
+            if size > MOST_RECORD_BYTES or not _take(found, disk, opcode, start, size):
+                break
+            at = start + size
+            if opcode == Opcode.DATA_END:
+                ended = True
+                break
+        if ended:
+            found.last = _read_end(found, disk.size - at)
+        elif at < disk.size:
+            found.damaged_bytes += disk.size - at
+            found.stream.append((at, disk.size - at))
+        return found
+
+
+def _read_end(found: _Examined, size: int) -> bool:
+    """Check summary and index, the last `size` bytes; return whether no file must follow."""
+    try:
+        reader = SegmentReader(found.path)
+    except RecordingError:
+        found.damaged_bytes += size
+        return True
+    reader.close()
+    return reader.closing.last
+
+
+def _take(found: _Examined, disk: _Disk, opcode: int, start: int, size: int) -> bool:
+    """Note a record; return False where the structure of the file is lost."""
+    record = disk.read(start, size)
+    if opcode == Opcode.CHUNK:
+        if decode_chunk(memoryview(record)) is None:
+            if not _plausible(disk, start + size):
+                return False
+            found.damaged_bytes += size
+        found.stream.append((start + PAYLOAD_OFFSET, max(size - PAYLOAD_OFFSET, 0)))
+        return True
+    try:
+        if opcode == Opcode.ATTACHMENT:
+            attachment = decode_attachment(record)
+            found.attachments[attachment.name] = attachment.data
+            if attachment.name == DESCRIPTION:
+                found.description = msgspec.json.decode(attachment.data, type=Description)
+        elif opcode in _SMALL:
+            decode(_SMALL[Opcode(opcode)], record[RECORD_HEAD.size :])
+        else:
+            return False
+    except (RecordingError, msgspec.DecodeError):
+        if not _plausible(disk, start + size):
+            return False
+        found.damaged_bytes += size
+    return True
+
+
+def _plausible(disk: _Disk, at: int) -> bool:
+    """Whether a record may begin here: then the length of the one before it was right."""
+    if at == disk.size:
+        return True
+    head = disk.read(at, RECORD_HEAD.size).ljust(RECORD_HEAD.size, b"\0")
+    opcode, length = RECORD_HEAD.unpack(head)
+    known = {Opcode.CHUNK, Opcode.ATTACHMENT, *_SMALL}
+    return opcode in known and at + RECORD_HEAD.size + length <= disk.size
+
+
+def _stream(found: _Examined) -> Iterator[bytes]:
+    """The bytes of the camera's stream in a file, in pieces."""
+    with _Disk(found.path) as disk:
+        for start, size in found.stream:
+            for at in range(start, start + size, PIECE_BYTES):
+                yield disk.read(at, min(PIECE_BYTES, start + size - at))
+
+
+def _instrument(found: list[_Examined]) -> Instrument | None:
+    """The instrument that the first file states for which this is intact."""
+    for each in found:
+        if INSTRUMENT in each.attachments:
+            with suppress(InstrumentError):
+                return Instrument.from_json(each.attachments[INSTRUMENT], where=str(each.path))
+    return None
+
+
+def _has_packets(found: _Examined) -> bool:
+    """Whether there is an intact packet of any sensor."""
+    buffer = PacketBuffer(Sensor(rows=1, cols=1, code_bits=1, bin_width_ns=1), choose())
+    for piece in _stream(found):
+        for _ in pieces(buffer, piece):
+            buffer.scan(limit=1)
+            buffer.release()
+    return bool(buffer.scanner.total("packets"))

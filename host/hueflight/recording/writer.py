@@ -1,0 +1,331 @@
+"""Writing recordings: raw packets as received, safe against crashes, full disks and slow ones."""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+
+import msgspec
+
+from hueflight.errors import RecordingError
+from hueflight.ingest import kernels as backends
+from hueflight.ingest.buffer import PacketBuffer, pieces
+from hueflight.ingest.kernels import STATE, Kernels
+from hueflight.ingest.report import IngestReport
+from hueflight.instrument import Instrument
+from hueflight.recording.layout import (
+    FORMAT,
+    OWN_NAMES,
+    Description,
+    segment_files,
+    segment_path,
+)
+from hueflight.recording.segment import Segment
+
+CHUNK_BYTES = 1 << 20
+SEGMENT_BYTES = 256 << 20
+FLUSH_SECONDS = 1.0
+FRAMES_AT_HAND = 4096
+_SEQUENCE, _HAS_SEQUENCE = STATE.index("sequence"), STATE.index("has_sequence")
+
+
+class RecordingWriter:
+    """Writes the camera's stream into a recording.
+
+    Packets are kept exactly as received, damaged ones and bytes between them too. What `write`
+    and `flush` have put into a file outlives a crash of the program; what is in a finished
+    segment outlives a power cut.
+
+    Parameters
+    ----------
+    path : path ending in ``.mcap``
+        First file; further segments are called ``name.0001.mcap`` and so on. A file has
+        ``.part`` behind its name until it is finished.
+    instrument : Instrument
+        Goes into each segment, and says what frames look like.
+    metadata : mapping, optional
+        About the capture; values are stored as text.
+    attachments : mapping of bytes, optional
+        Files to keep with the packets, such as a calibration, by name.
+    segment_bytes, segment_seconds : optional
+        When to finish a segment and start the next. Finishing waits for the disk, in the
+        background.
+    chunk_bytes, flush_seconds : optional
+        Packets are put into the file when there are so many bytes of them, or when they have
+        waited so long.
+    overwrite : bool
+        Replace a recording of the same name.
+
+    Attributes
+    ----------
+    frames, size : frames and bytes of packets that are safe in a file.
+    lost_frames, lost_bytes : what came after writing failed.
+    error : why it failed, or None.
+
+    Raises
+    ------
+    RecordingError
+        If the file can't be made, exists, or is left from a recording that did not end.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        instrument: Instrument,
+        /,
+        *,
+        metadata: Mapping[str, object] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+        segment_bytes: int = SEGMENT_BYTES,
+        segment_seconds: float | None = None,
+        chunk_bytes: int = CHUNK_BYTES,
+        flush_seconds: float = FLUSH_SECONDS,
+        overwrite: bool = False,
+        kernels: Kernels | None = None,
+    ) -> None:
+        self.path = Path(path)
+        if self.path.suffix != ".mcap":
+            raise RecordingError(f"{self.path}: the name of a recording must end in .mcap")
+        own = [name for name in attachments or {} if name in OWN_NAMES]
+        if own:
+            raise RecordingError(f"attachment {own[0]!r}: this name is taken, use another")
+        if min(segment_bytes, chunk_bytes) < 1:
+            raise RecordingError("segment_bytes and chunk_bytes must be at least 1")
+        self.frames = self.size = 0
+        self.lost_frames = self.lost_bytes = 0
+        self.error: RecordingError | None = None
+        self._segment_bytes, self._segment_seconds = segment_bytes, segment_seconds
+        self._chunk_bytes, self._flush_seconds = chunk_bytes, flush_seconds
+        self._instrument_json = instrument.to_json()
+        self._attachments = dict(attachments or {})
+        self._description = Description(
+            format=FORMAT,
+            recording=uuid.uuid4().hex,
+            segment=0,
+            started=datetime.now(UTC).isoformat(timespec="milliseconds"),
+            metadata={str(key): str(value) for key, value in (metadata or {}).items()},
+        )
+        self._buffer = PacketBuffer(
+            instrument.sensor, kernels or backends.choose(), limit=FRAMES_AT_HAND
+        )
+        self._sequence = (0, 0)  # of the last packet that was stored, and whether there was one
+        self._waiting_since: float | None = None
+        self._segments = 0
+        self._told = True
+        self._closed = False
+        self._finisher = ThreadPoolExecutor(1, thread_name_prefix="finish-segment")
+        self._finishing: Future[None] | None = None
+        self._refuse_leftovers(overwrite)
+        try:
+            self._segment: Segment | None = self._start_segment()
+        except OSError as error:
+            raise RecordingError(f"can't start {self.path}: {error.strerror or error}") from error
+
+    # -- what the user calls -----------------------------------------------------------------------
+
+    @property
+    def report(self) -> IngestReport:
+        """What the stream has brought, stored or not."""
+        state = self._buffer.scanner.state
+        return IngestReport.from_state(state, photons=int(state[STATE.index("hits")]))
+
+    def write(self, packets: bytes | bytearray | memoryview, /) -> None:
+        """Take the next bytes of the stream, in pieces of any size.
+
+        Raises
+        ------
+        RecordingError
+            Once, when writing fails: what is in the file stays, what comes later is counted as
+            lost until `resume`. Also if the recording is closed.
+        """
+        if self._closed:
+            raise RecordingError(f"{self.path}: the recording is closed")
+        for _ in pieces(self._buffer, packets):
+            self._advance(final=False)
+        if self._waiting_since is None:
+            self._waiting_since = time.monotonic()
+        elif time.monotonic() - self._waiting_since > self._flush_seconds:
+            self._store()
+        self._tell()
+
+    def flush(self) -> None:
+        """Put all whole packets into the file now.
+
+        Raises
+        ------
+        RecordingError
+            As `write`.
+        """
+        self._store()
+        self._tell()
+
+    def resume(self) -> None:
+        """Go on in a new segment after a failure, when there is room again.
+
+        Raises
+        ------
+        RecordingError
+            If there is not.
+        """
+        if self.error is None or self._closed:
+            return
+        try:
+            self._segment = self._start_segment()
+        except OSError as error:
+            raise RecordingError(f"can't go on: {error.strerror or error}") from error
+        self.error = None
+
+    def close(self) -> None:
+        """Store what is left, finish the last segment and wait for the disk.
+
+        Raises
+        ------
+        RecordingError
+            If that fails; what is in files can be had with `recover`.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._advance(final=True)
+            self._finish_segment(last=True)
+            self._wait_for_segment()
+            self._tell()
+        finally:
+            self._finisher.shutdown()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- chunks ------------------------------------------------------------------------------------
+
+    def _advance(self, *, final: bool) -> None:
+        buffer = self._buffer
+        while True:
+            ended = buffer.scan(limit=FRAMES_AT_HAND, final=final)
+            buffer.others.clear()  # they are in the stream anyway
+            if not ended or final or buffer.tight or len(buffer.complete) >= self._chunk_bytes:
+                self._store()
+            if ended:
+                return
+
+    def _store(self) -> None:
+        """Append the whole packets at hand to the file as one chunk."""
+        payload, frames = self._buffer.complete, self._buffer.scanner.frames
+        if not payload:
+            return
+        if self._segment is not None:
+            try:
+                self._append(self._segment, payload)
+                self.frames += frames
+                self.size += len(payload)
+            except OSError as error:
+                self._fail(error)
+        if self._segment is None:
+            self.lost_frames += frames
+            self.lost_bytes += len(payload)
+        state = self._buffer.scanner.state
+        self._sequence = (int(state[_SEQUENCE]), int(state[_HAS_SEQUENCE]))
+        self._buffer.release()
+        self._waiting_since = None
+        self._rotate()
+
+    def _append(self, segment: Segment, payload: memoryview) -> None:
+        scanner = self._buffer.scanner
+        first = scanner.header_fields()[0] if scanner.frames else None
+        segment.append_chunk(
+            payload,
+            frames=scanner.frames,
+            log_time=time.time_ns(),
+            tick=0 if first is None else int(first["timestamp"]),
+            clock_hz=0 if first is None else int(first["clock_hz"]),
+            sequence=self._sequence[0],
+            has_sequence=self._sequence[1],
+        )
+
+    def _tell(self) -> None:
+        """Raise a failure that nobody has been told of."""
+        if self.error is not None and not self._told:
+            self._told = True
+            raise self.error
+
+    # -- segments ----------------------------------------------------------------------------------
+
+    def _rotate(self) -> None:
+        segment = self._segment
+        if segment is None or self._closed:
+            return
+        age = time.monotonic() - segment.started
+        if segment.size >= self._segment_bytes or age >= (self._segment_seconds or float("inf")):
+            self._finish_segment(last=False)
+            try:
+                self._segment = self._start_segment() if self.error is None else None
+            except OSError as error:
+                self._fail(error)
+
+    def _start_segment(self) -> Segment:
+        number = self._segments
+        path = segment_path(self.path, number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        description = msgspec.structs.replace(self._description, segment=number)
+        segment = Segment(
+            path, description, self._instrument_json, self._attachments, first=self.frames
+        )
+        self._segments = number + 1
+        return segment
+
+    def _finish_segment(self, *, last: bool) -> None:
+        """Hand the segment to the background thread, after the one before is done."""
+        self._wait_for_segment()
+        segment, self._segment = self._segment, None
+        if segment is not None:
+            report = self.report.as_dict()
+            self._finishing = self._finisher.submit(segment.finish, last=last, report=report)
+
+    def _wait_for_segment(self) -> None:
+        finishing, self._finishing = self._finishing, None
+        try:
+            if finishing is not None:
+                finishing.result()
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        """Close the segment as well as it goes, and keep in mind what happened."""
+        kept = f"{self.frames} frames before it are kept"
+        segment, self._segment = self._segment, None
+        try:
+            if segment is not None:
+                segment.finish(last=True, report=self.report.as_dict())
+        except OSError:
+            kept += ", those at the end in a .part file: get them with recover"
+        self.error = RecordingError(
+            f"writing {self.path} failed: {error.strerror or error}; {kept}"
+        )
+        self._told = False
+
+    def _refuse_leftovers(self, overwrite: bool) -> None:
+        """Make room for the files of this recording, or say that there are others."""
+        finished, unfinished = segment_files(self.path)
+        if unfinished and not overwrite:
+            raise RecordingError(
+                f"{unfinished[0]} is left from a recording that did not end: recover it, or "
+                "choose another name"
+            )
+        if finished and not overwrite:
+            raise RecordingError(f"{finished[0]} exists: choose another name, or overwrite it")
+        for path in (*finished, *unfinished):
+            path.unlink()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.ingest.numpy_scan import HITS_SHIFT, KIND_SHIFT, MOST_FRAMES
+from hueflight.ingest.numpy_scan import HITS_SHIFT, KIND_SHIFT, MOST_FRAMES, bitmap_bytes
 from hueflight_protocol.wire import ChunkKind, dense_bytes, padded
 
 TILE = 64  # pixels that are added to the table together or not at all
@@ -122,7 +122,7 @@ def _count_chunk(
     kind = (entries >> np.uint64(KIND_SHIFT)).astype(np.intp)
     dense, sparse = kind == int(ChunkKind.DENSE), kind == int(ChunkKind.BITMAP)
     payload = np.where(dense, dense_bytes(pixels, code_bits), 0)
-    payload[sparse] = _bitmap_bytes(pixels, hits[sparse], code_bits)
+    payload[sparse] = bitmap_bytes(pixels, hits[sparse], code_bits)
     if (
         (entries[~(dense | sparse)] != 0).any()
         or (hits > pixels).any()
@@ -135,10 +135,6 @@ def _count_chunk(
     if sparse.any():
         seen += _count_sparse(octets, offset[sparse], hits[sparse], pixels, code_bits)
     return seen.reshape(pixels, codes)
-
-
-def _bitmap_bytes(pixels: int, hits: _Ints, code_bits: int) -> _Ints:
-    return -(-(-(-pixels // 8) - (-hits * code_bits // 8)) // 4) * 4
 
 
 def _gather(octets: NDArray[np.uint8], offset: _Ints, size: int) -> NDArray[np.uint8]:

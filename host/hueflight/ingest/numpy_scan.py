@@ -50,13 +50,18 @@ class _PacketError(Exception):
     """There is a header, but the packet breaks a rule."""
 
 
+def bitmap_bytes(pixels: int, hits: NDArray[np.intp], code_bits: int, /) -> NDArray[np.intp]:
+    """Payload bytes of bitmap chunks of `pixels` pixels, padding included (rule F10)."""
+    return -(-(-(-pixels // 8) - (-hits * code_bits // 8)) // 4) * 4
+
+
 @lru_cache(maxsize=256)
 def _chunk_words(pixels: int, code_bits: int) -> tuple[int, list[int]]:
     """Hits from which on a chunk is dense, and its length in words for any number of hits."""
     dense_from = wire.dense_from(pixels, code_bits)
     dense = 1 + wire.dense_bytes(pixels, code_bits) // 4
-    bitmaps = [1 + wire.bitmap_bytes(pixels, hits, code_bits) // 4 for hits in range(dense_from)]
-    return dense_from, bitmaps + [dense] * (pixels + 1 - dense_from)
+    bitmaps = 1 + bitmap_bytes(pixels, np.arange(dense_from), code_bits) // 4
+    return dense_from, bitmaps.tolist() + [dense] * (pixels + 1 - dense_from)
 
 
 class _Stream:

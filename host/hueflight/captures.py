@@ -1,19 +1,19 @@
-"""Captures from files: recordings of packets, or counts as NumPy wrote them."""
+"""Captures from files: recordings of packets, or counts of any camera."""
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import HistogramError, InstrumentError
+from hueflight.errors import HistogramError
+from hueflight.importers import read_counts
+from hueflight.importers.arrays import read_array
 from hueflight.instrument import Instrument
 from hueflight.recording import open_recording
-
-COUNTS, INSTRUMENT = "histogram", "instrument"  #: names inside an .npz file
 
 
 @dataclass(frozen=True)
@@ -25,75 +25,51 @@ class Capture:
     counts : (row, col, code), or (step, row, col, code) where read by step.
     """
 
-    counts: NDArray[np.generic]
+    counts: NDArray[Any]
     instrument: Instrument
 
 
 def read_capture(
-    path: Path,
-    *,
-    instrument: str | None = None,
-    default: Instrument | None = None,
-    by_step: bool = False,
+    path: Path, instrument: Instrument | None = None, /, *, by_step: bool = False
 ) -> Capture:
-    """Counts of a recording (.mcap) or of a NumPy file (.npz, .npy).
+    """Counts of a recording (.mcap) or of a file of counts that `read_counts` knows.
 
     Parameters
     ----------
-    instrument : preset or TOML file that overrides what the file says.
-    default : used where neither the file nor `instrument` says.
-    by_step : one histogram per step marker (one LED at a time), stacked on a first axis.
+    instrument : that made them; needed unless the file says, refused if it says another.
+    by_step : one histogram per step of the illuminator (one LED at a time), on a first axis.
 
     Raises
     ------
+    RecordingError, FileFormatError
+        If the file can't be read.
+    InstrumentError
+        If nobody says which instrument made the counts.
     HistogramError
-        If the file is no capture, or nobody says which instrument made it.
-    RecordingError
-        If a recording can't be read.
+        If a recording was made by another instrument, or steps are missing.
     """
-    chosen = None if instrument is None else Instrument.load(instrument)
-    if not path.exists():
-        raise HistogramError(f"no capture {str(path)!r}: there is no such file")
     if path.suffix == ".mcap":
         with open_recording(path) as recording:
+            if instrument and (apart := recording.instrument.differences(instrument)):
+                raise HistogramError(
+                    f"{path} was recorded by instrument {recording.instrument.name!r}, not "
+                    f"{instrument.name!r}: {'; '.join(apart[:3])}"
+                )
             counts = recording.histograms_by_step() if by_step else recording.histogram()
-            return Capture(counts, chosen or recording.instrument)
-    if path.suffix not in (".npz", ".npy"):
+            return Capture(counts, recording.instrument)
+    if not by_step:
+        return Capture(*read_counts(path, instrument))
+    if not path.exists():
+        raise HistogramError(f"no capture {str(path)!r}: there is no such file")
+    stacked, described = read_array(path, None)
+    known = described or instrument
+    if known is None or stacked.shape[1:] != known.histogram_shape:
         raise HistogramError(
-            f"{str(path)!r}: a capture is a recording (.mcap) or counts (.npz, .npy); this ends "
-            f"in {path.suffix or 'nothing'!r}"
+            f"{path} has shape {stacked.shape}; one LED at a time is (step, row, col, code)"
         )
-    counts, described = _read_numpy(path)
-    known = chosen or described or default
-    if known is None:
-        raise InstrumentError(
-            f"{path} does not say which instrument made it: name it with --instrument"
-        )
-    return Capture(counts, known)
+    return Capture(stacked, known)
 
 
-def write_counts(path: Path, counts: NDArray[np.generic], instrument: Instrument) -> None:
-    """Counts with their instrument as a compressed .npz file."""
-    np.savez_compressed(path, **{COUNTS: counts, INSTRUMENT: np.array(instrument.to_json())})
-
-
-def _read_numpy(path: Path) -> tuple[NDArray[np.generic], Instrument | None]:
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded, None
-        with loaded:
-            arrays = {name: loaded[name] for name in loaded.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise HistogramError(f"{path} is not a NumPy file that can be read: {error}") from None
-    described = arrays.pop(INSTRUMENT, None)
-    instrument = (
-        None if described is None else Instrument.from_json(str(described), where=str(path))
-    )
-    if COUNTS in arrays:
-        return arrays[COUNTS], instrument
-    if len(arrays) == 1:
-        return next(iter(arrays.values())), instrument
-    raise HistogramError(
-        f"{path} holds {sorted(arrays)}: name the counts {COUNTS!r}, or store them alone"
-    )
+def write_counts(path: Path, counts: NDArray[Any], instrument: Instrument) -> None:
+    """Counts with their instrument as a compressed .npz file, as `read_capture` reads them."""
+    np.savez_compressed(path, histogram=counts, instrument=np.array(instrument.to_json()))

@@ -12,7 +12,7 @@ from hueflight.calibration import calibrate as calibrate_captures
 from hueflight.captures import read_capture
 from hueflight.cli.app import app
 from hueflight.cli.output import progress, show
-from hueflight.errors import HueflightError
+from hueflight.instrument import Instrument
 from hueflight.progress import task
 
 
@@ -35,7 +35,8 @@ def calibrate(
     Parameters
     ----------
     reference
-        Capture of the target with all LEDs on: a recording (.mcap) or counts (.npz, .npy).
+        Capture of the target with all LEDs on: a recording (.mcap) or counts
+        (.npz, .npy, .zarr, .h5, .ptu, .sdt).
     distance
         Distance of the target from the camera, metres.
     out
@@ -59,16 +60,12 @@ def calibrate(
     given = {name: path for name, path in extra.items() if path is not None}
     shown = progress(json_wanted=json)
     with task(shown, "reading", 1 + len(given)):
-        main = read_capture(reference, instrument=instrument)
+        chosen = None if instrument is None else Instrument.load(instrument)
+        main = read_capture(reference, chosen)
         shown.advance()
         others = {}
         for name, path in given.items():
-            capture = read_capture(path, instrument=instrument, by_step=name == "bands")
-            if differences := main.instrument.differences(capture.instrument):
-                raise HueflightError(
-                    f"{path} was taken with another instrument than {reference}: "
-                    f"{'; '.join(differences[:3])}"
-                )
+            capture = read_capture(path, main.instrument, by_step=name == "bands")
             others[name] = capture.counts
             shown.advance()
     known = None if reflectance is None else np.array(reflectance)

@@ -36,7 +36,7 @@ def reconstruct(
     Parameters
     ----------
     capture
-        A recording (.mcap) or counts (.npz, .npy).
+        A recording (.mcap) or counts (.npz, .npy, .zarr, .h5, .ptu, .sdt).
     calibration
         What `hueflight calibrate` wrote, of the same instrument.
     out
@@ -58,8 +58,7 @@ def reconstruct(
     with task(shown, "reading", 2):
         known = Calibration.load(calibration)
         shown.advance()
-        taken = read_capture(capture, instrument=None, default=known.instrument)
-        known.require(taken.instrument)
+        taken = read_capture(capture, known.instrument)
         shown.advance()
     with task(shown, "reconstructing", 1):
         image = reconstruct_counts(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import importlib.util
-import os
 import tempfile
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
@@ -22,6 +21,7 @@ import numpy as np
 from amaranth.back import rtlil
 from amaranth.hdl import ClockDomain, Module, Value
 from amaranth.lib import wiring
+
 from hueflight_protocol.errors import HueflightError
 
 from ..toolchain import ToolError, cache_directory, find_tool, run_tool
@@ -179,7 +179,7 @@ def _library(text: str, shim: str) -> Path:
         (work / "shim.cc").write_text(f'{shim}\n#include "design.cc"\n')
         run_tool("yosys", "-q", "-p", _PASSES, cwd=work)
         run_tool("c++", *_FLAGS, f"-I{_runtime()}", "-o", "design.so", "shim.cc", cwd=work)
-        os.replace(work / "design.so", kept)
+        (work / "design.so").replace(kept)
     return kept
 
 

@@ -130,8 +130,14 @@ def test_one_led_at_a_time_goes_into_a_calibration(bench: Path, run) -> None:
         (["simulate", "castle", "-o", "x.npz"], "castle"),
         (["simulate", "-o", "x.txt", "--frames", "1"], "must end in .mcap (packets) or .npz"),
         (["simulate", "-o", "x.npz", "--instrument", "papper"], "no instrument 'papper'"),
-        (["calibrate", "foreign.npz", "-d", "0.4", "-o", "c.zarr"], "'foreign.npz' is not an .npz file"),
-        (["calibrate", "text.txt", "-d", "0.4", "-o", "c.zarr"], "ends in '.txt': counts are read from"),
+        (
+            ["calibrate", "foreign.npz", "-d", "0.4", "-o", "c.zarr"],
+            "'foreign.npz' is not an .npz file",
+        ),
+        (
+            ["calibrate", "text.txt", "-d", "0.4", "-o", "c.zarr"],
+            "ends in '.txt': counts are read from",
+        ),
         (["calibrate", "bare.npy", "-d", "0.4", "-o", "c.zarr"], "does not say which instrument"),
         (
             ["calibrate", "bare.npy", "-d", "0.4", "-o", "c.zarr", "--instrument", "bench.toml"],

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from amaranth.lib import data
 from amaranth.utils import bits_for
+
 from hueflight_protocol.errors import HueflightError
 from hueflight_protocol.illuminator_map import MAX_CHANNELS, MAX_PULSES, MAX_STEPS
 

@@ -6,11 +6,12 @@ from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
+
 from hueflight_protocol.illuminator_map import TriggerSource
 
 from .channel import Channel
 from .config import MIN_SPACING, Limits, PulseConfig
-from .counter import SaturatingCounter
+from ..counter import SaturatingCounter
 from .phases import PhaseStatistics
 from .program import WORDS_PER_STEP, ProgramReader
 from .sequencer import Sequencer
@@ -294,7 +295,7 @@ class PulseGenerator(wiring.Component):
         events = (seen, train.served, train.ignored, train.restarted, train.swapped)
         full = Signal(len(COUNTERS))
         for number, (name, event) in enumerate(zip(COUNTERS, events, strict=True)):
-            counter = SaturatingCounter()
+            counter = SaturatingCounter(32, domain="pulse")
             m.submodules[name] = counter
             m.d.comb += [
                 counter.event.eq(event),

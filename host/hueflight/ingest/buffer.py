@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Iterator
 
 from hueflight.errors import IngestError
@@ -54,7 +55,7 @@ class PacketBuffer:
             )
         self.scanner = Scanner(sensor, kernels, limit)
         self.others: list[bytes] = []
-        self._octets = bytearray(capacity)
+        self._octets = mmap.mmap(-1, capacity)  # takes memory only where bytes have been
         self._view = memoryview(self._octets)
         self._filled = 0
         self._scanned = 0
@@ -115,7 +116,7 @@ class PacketBuffer:
     def release(self) -> None:
         """Let go of the frames at hand, and move what is left of the bytes to the front."""
         left = self._filled - self._scanned
-        self._octets[:left] = self._octets[self._scanned : self._filled]
+        self._octets.move(0, self._scanned, left)
         self._filled, self._scanned = left, 0
         self.scanner.clear()
 

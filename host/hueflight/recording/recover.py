@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from enum import IntEnum
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,7 @@ class Recovery:
         themselves are kept.
     missing_segments : files between others, or behind them, that are not there.
     unfinished : files whose writing did not come to its end.
+    cut : files that were finished, and whose end is missing.
     """
 
     outcome: Outcome
@@ -82,6 +84,7 @@ class Recovery:
     damaged_bytes: int
     missing_segments: int
     unfinished: int
+    cut: int
 
     def as_dict(self) -> dict[str, Any]:
         """All of it, for JSON."""
@@ -99,6 +102,7 @@ class _Examined:
     description: Description | None = None
     stream: list[tuple[int, int]] = field(default_factory=list)  # place and size, in order
     damaged_bytes: int = 0
+    cut: bool = False  # it has the name of a finished file, and no end
     last: bool = True  # nothing says that there must be a segment behind it
 
 
@@ -176,7 +180,8 @@ def _recovery(
 ) -> Recovery:
     damaged = sum(each.damaged_bytes for each in found)
     missing = max(files) + 1 - len(files) + (not found[-1].last)
-    if outcome == Outcome.WHOLE and (damaged or missing):
+    cut = sum(each.cut for each in found)
+    if outcome == Outcome.WHOLE and (damaged or missing or cut):
         outcome = Outcome.LOSSY
     return Recovery(
         outcome=outcome,
@@ -186,6 +191,7 @@ def _recovery(
         damaged_bytes=damaged,
         missing_segments=missing,
         unfinished=sum(file.suffix == PART for file in files.values()),
+        cut=cut,
     )
 
 
@@ -210,7 +216,6 @@ class _Disk:
         except OSError as error:
             raise RecordingError(f"can't read {path}: {error.strerror or error}") from None
         self.size = os.fstat(self._fd).st_size
-        self.unreadable = 0
 
     def __enter__(self) -> _Disk:
         return self
@@ -222,13 +227,14 @@ class _Disk:
         """Bytes of the file; fewer at its end."""
         with suppress(OSError):
             return os.pread(self._fd, size, at)
-        if size <= SECTOR_BYTES:
-            self.unreadable += size
-            return bytes(size)
-        return b"".join(
-            self.read(start, min(SECTOR_BYTES, at + size - start))
-            for start in range(at, at + size, SECTOR_BYTES)
-        )
+        borders = range(at - at % SECTOR_BYTES + SECTOR_BYTES, at + size, SECTOR_BYTES)
+        return b"".join(self._read_sector(a, b) for a, b in pairwise([at, *borders, at + size]))
+
+    def _read_sector(self, start: int, stop: int) -> bytes:
+        try:
+            return os.pread(self._fd, stop - start, start)
+        except OSError:
+            return bytes(stop - start)
 
 
 def _examine(path: Path) -> _Examined:
@@ -250,6 +256,7 @@ def _examine(path: Path) -> _Examined:
         elif at < disk.size:
             found.damaged_bytes += disk.size - at
             found.stream.append((at, disk.size - at))
+        found.cut = not ended and path.suffix != PART
         return found
 
 

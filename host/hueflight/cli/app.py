@@ -31,7 +31,15 @@ def main(words: Sequence[str] | None = None) -> None:
     `words` are what was typed after the program's name; by default the real ones.
     """
     # importing them registers their commands
-    from hueflight.cli import calibrate, demo, info, reconstruct, simulate  # noqa: F401
+    from hueflight.cli import (  # noqa: F401
+        calibrate,
+        capture,
+        demo,
+        info,
+        reconstruct,
+        serve,
+        simulate,
+    )
 
     try:
         app(sys.argv[1:] if words is None else words)

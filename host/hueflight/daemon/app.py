@@ -1,0 +1,212 @@
+"""The daemon's doors: the page, the API, metrics, health."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from importlib import resources
+from typing import Any
+
+import msgspec
+import structlog
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.types import ASGIApp
+
+from hueflight.capture.plan import CaptureError
+from hueflight.daemon.config import DaemonConfig
+from hueflight.daemon.files import FileNameError
+from hueflight.daemon.guard import Guard
+from hueflight.daemon.live import Hub
+from hueflight.daemon.metrics import make_registry, render
+from hueflight.daemon.openapi import describe
+from hueflight.daemon.operations import OPERATIONS, Operation
+from hueflight.daemon.pictures import Picture
+from hueflight.daemon.pixel import PixelError
+from hueflight.daemon.service import Service
+from hueflight.daemon.wire import encode_picture
+from hueflight.devices.rig import Connect
+from hueflight.errors import HueflightError
+from hueflight.instrument import Instrument
+
+log = structlog.get_logger("hueflight.daemon")
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+Handler = Callable[[Request], Awaitable[Response]]
+
+
+def make_app(
+    config: DaemonConfig,
+    connect: Connect,
+    instrument: Instrument,
+    /,
+    *,
+    port: int,
+    token: str | None,
+) -> ASGIApp:
+    """The whole application; acquisition begins when the server starts it.
+
+    Parameters
+    ----------
+    config : as read.
+    connect : opens the rig.
+    instrument : that it is.
+    port : where the server listens; part of the hosts that browsers may name.
+    token : that clients must show, None for none.
+    """
+    state: dict[str, Any] = {}
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        loop = asyncio.get_running_loop()
+
+        def on_picture(picture: Picture) -> None:
+            hub: Hub | None = state.get("hub")
+            if hub is None or not service.viewers:
+                return  # nobody looks: spare the work
+            message = encode_picture(picture)
+            loop.call_soon_threadsafe(hub.publish, picture, message)
+
+        service = await run_in_threadpool(
+            lambda: Service(config, connect, instrument, on_picture=on_picture)
+        )
+        state["service"] = service
+        state["hub"] = Hub(service, config.server.max_viewers)
+        state["registry"] = make_registry(service)
+        yield
+        log.info("ending")
+        await run_in_threadpool(service.close)
+        log.info("ended", **service.status()["totals"])
+
+    async def live(socket: Any) -> None:
+        await state["hub"].serve(socket)
+
+    async def metrics(_: Request) -> Response:
+        text = await run_in_threadpool(render, state["registry"])
+        return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
+
+    async def health(_: Request) -> Response:
+        status = state["service"].status()
+        bad = [
+            text
+            for text in (
+                status["problem"] if status["state"] == "disconnected" else "",
+                status["recording"]["failure"],
+            )
+            if text
+        ]
+        return _json(
+            {"healthy": not bad, "state": status["state"], "problems": bad}, 503 if bad else 200
+        )
+
+    description = describe(name=config.name, token=token is not None)
+
+    async def openapi(_: Request) -> Response:
+        return _json(description)
+
+    routes: list[BaseRoute] = [
+        *(_route(operation, state) for operation in OPERATIONS),
+        Route("/openapi.json", openapi, methods=["GET"]),
+        Route("/metrics", metrics, methods=["GET"]),
+        Route("/health", health, methods=["GET"]),
+        WebSocketRoute("/api/live", live),
+        *_page_routes(),
+    ]
+    app = Starlette(
+        routes=routes,
+        lifespan=lifespan,
+        exception_handlers={HTTPException: _http_error, Exception: _internal_error},
+    )
+    return Guard(app, config.server, port=port, token=token)
+
+
+def _route(operation: Operation, state: dict[str, Any]) -> Route:
+    async def handler(request: Request) -> Response:
+        argument: Any = None
+        try:
+            if operation.body is not None:
+                argument = await _read_body(request, operation.body)
+            elif operation.query is not None:
+                argument = _read_query(request, operation.query)
+            result = await run_in_threadpool(operation.action, state["service"], argument)
+        except HueflightError as error:
+            return _json({"error": str(error)}, _status_of(error))
+        return _json(result)
+
+    return Route(operation.path, handler, methods=[operation.method], name=operation.name)
+
+
+async def _read_body(request: Request, kind: type[Any]) -> Any:
+    if request.headers.get("content-type", "").split(";")[0].strip() != "application/json":
+        raise HTTPException(415, "the body must be application/json")
+    try:
+        body = await request.body()
+    except ClientDisconnect:
+        raise HTTPException(413, "the body is too large, or the client has gone") from None
+    try:
+        return msgspec.json.decode(body, type=kind)
+    except msgspec.ValidationError as error:
+        raise HTTPException(422, str(error)) from None
+    except (msgspec.DecodeError, UnicodeError) as error:
+        raise HTTPException(400, f"the body is no JSON: {error}") from None
+
+
+def _read_query(request: Request, kind: type[Any]) -> Any:
+    pairs = request.query_params.multi_items()
+    if len({name for name, _ in pairs}) < len(pairs):
+        raise HTTPException(422, "a parameter stands twice")
+    try:
+        return msgspec.convert(dict(pairs), kind, strict=False)
+    except msgspec.ValidationError as error:
+        raise HTTPException(422, str(error)) from None
+
+
+def _status_of(error: HueflightError) -> int:
+    if isinstance(error, PixelError):
+        return 404
+    if isinstance(error, FileNameError | CaptureError):
+        return 409
+    return 500
+
+
+def _json(content: dict[str, Any], status: int = 200) -> Response:
+    return Response(msgspec.json.encode(content), status, media_type="application/json")
+
+
+async def _http_error(_: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    response = _json({"error": error.detail}, error.status_code)
+    for name, value in (error.headers or {}).items():
+        response.headers[name] = value
+    return response
+
+
+async def _internal_error(request: Request, error: Exception) -> Response:
+    log.error("a request failed", path=request.url.path, error=repr(error), exc_info=error)
+    return _json({"error": "the daemon failed to answer; its log says why"}, 500)
+
+
+def _page_routes() -> list[BaseRoute]:
+    """Every file of the page, read once: no path from a client ever reaches the disk."""
+    routes: list[BaseRoute] = []
+    for entry in (resources.files("hueflight.daemon") / "page").iterdir():
+        suffix = "." + entry.name.rpartition(".")[2]
+        if suffix in TYPES:
+            routes.append(_page_route(entry.name, entry.read_bytes(), TYPES[suffix]))
+    return routes
+
+
+def _page_route(name: str, content: bytes, media_type: str) -> Route:
+    async def handler(_: Request) -> Response:
+        return Response(content, media_type=media_type, headers={"cache-control": "no-cache"})
+
+    return Route("/" if name == "index.html" else f"/{name}", handler, methods=["GET"])

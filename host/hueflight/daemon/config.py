@@ -1,0 +1,175 @@
+"""What a daemon is told in one TOML file, strictly."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from hueflight.errors import HueflightError
+
+DEFAULT_PORT = 8470
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
+MIN_TOKEN_LENGTH = 16
+
+
+class ConfigError(HueflightError):
+    """A configuration that can't be read, or that would be unsafe."""
+
+
+class _Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A strict, immutable table."""
+
+
+class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Who may talk to the daemon, and how much.
+
+    Attributes
+    ----------
+    host, port : where to listen; beyond loopback a token is required.
+    token_file : file with the token; readable by its owner alone.
+    allowed_hosts : names by which browsers may call the daemon, besides loopback and `host`.
+    max_connections : open connections, of all clients.
+    max_viewers : live pictures at the same time.
+    requests_per_s, burst : of each client address.
+    max_body_bytes : of a request.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = DEFAULT_PORT
+    token_file: str = ""
+    allowed_hosts: tuple[str, ...] = ()
+    max_connections: int = 64
+    max_viewers: int = 8
+    requests_per_s: float = 50.0
+    burst: int = 100
+    max_body_bytes: int = 1 << 16
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ConfigError(f"server.port = {self.port}: must be from 0 to 65535")
+        for name in ("max_connections", "max_viewers", "requests_per_s", "burst"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"server.{name} = {getattr(self, name)}: must be at least 1")
+        if not 1 << 10 <= self.max_body_bytes <= 1 << 24:
+            raise ConfigError(
+                f"server.max_body_bytes = {self.max_body_bytes}: must be from 1 KiB to 16 MiB"
+            )
+
+    @property
+    def beyond_loopback(self) -> bool:
+        """Whether other machines can reach the daemon."""
+        return self.host not in LOOPBACK
+
+    def token(self) -> str | None:
+        """The token that clients must show, None on loopback without one.
+
+        Raises
+        ------
+        ConfigError
+            If one is needed and missing, or too short to be one.
+        """
+        if not self.token_file:
+            if self.beyond_loopback:
+                raise ConfigError(
+                    f"server.host = {self.host!r} lets other machines in: name a file with a "
+                    "token in server.token_file (or --token-file), for example made by: "
+                    "python3 -c 'import secrets; print(secrets.token_urlsafe())'"
+                )
+            return None
+        path = Path(self.token_file).expanduser()
+        try:
+            token = path.read_text("ascii").strip()
+            shared = path.stat().st_mode & 0o077
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"can't read the token in {path}: {error}") from None
+        if shared:
+            raise ConfigError(f"{path} can be read by others: chmod 600 {path}")
+        if len(token) < MIN_TOKEN_LENGTH or not re.fullmatch(r"[A-Za-z0-9_.~-]+", token):
+            raise ConfigError(
+                f"the token in {path} must be at least {MIN_TOKEN_LENGTH} letters, digits and "
+                "'-_.~'"
+            )
+        return token
+
+
+class RecordingConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What recordings may take.
+
+    Attributes
+    ----------
+    queue_mb : packets that may wait for a slow disk.
+    min_free_mb : space that recordings leave free.
+    """
+
+    queue_mb: int = 128
+    min_free_mb: int = 256
+
+
+class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One daemon: one camera.
+
+    Attributes
+    ----------
+    name : shown to people and in metrics, to tell several daemons apart.
+    instrument : preset or TOML file.
+    data : folder of recordings and calibrations.
+    simulate : use the simulated instrument, or never; by default only where no camera is
+        plugged in and none is named.
+    scene : that it looks at.
+    camera : serial number, needed if several are plugged in.
+    method : of reconstruction, ``"joint"`` or ``"paper"``; empty for the best there is.
+    pictures_hz : live pictures per second; 0 for what suits the frame rate.
+    picture_frames : frames behind each; 0 for what suits the frame rate.
+    threads : that count photons.
+    """
+
+    name: str = "hueflight"
+    instrument: str = "paper"
+    data: str = "~/hueflight"
+    simulate: bool | None = None
+    scene: str = "fig1"
+    camera: str = ""
+    method: str = ""
+    pictures_hz: float = 0.0
+    picture_frames: int = 0
+    threads: int = 1
+    server: ServerConfig = ServerConfig()
+    recording: RecordingConfig = RecordingConfig()
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise ConfigError(
+                f"name = {self.name!r}: must be up to 64 letters, digits, spaces and '._-'"
+            )
+        if not 0 <= self.pictures_hz <= 1000:
+            raise ConfigError(f"pictures_hz = {self.pictures_hz}: must be from 0 to 1000")
+        if self.picture_frames < 0 or self.threads < 1:
+            raise ConfigError("picture_frames must be 0 or more, threads 1 or more")
+
+    @property
+    def folder(self) -> Path:
+        """Where data goes."""
+        return Path(self.data).expanduser().resolve()
+
+    @classmethod
+    def load(cls, path: Path) -> DaemonConfig:
+        """Configuration from a TOML file.
+
+        Raises
+        ------
+        ConfigError
+            If the file can't be read, or a key is unknown or has the wrong type.
+        """
+        try:
+            return msgspec.convert(tomllib.loads(path.read_text("utf-8")), cls)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"can't read {path}: {error}") from None
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"{path} is not TOML: {error}") from None
+        except msgspec.ValidationError as error:
+            cause = error.__cause__ if isinstance(error.__cause__, ConfigError) else error
+            raise ConfigError(f"{path}: {cause}") from None

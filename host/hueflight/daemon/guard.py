@@ -1,0 +1,182 @@
+"""Who may come in: hosts, origins, tokens, and how much of anything.
+
+A daemon on loopback can be reached by every page in the user's browser. So a request must name a
+host that is ours (against DNS rebinding), and if a page sent it, one of our own pages.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import time
+from collections import OrderedDict
+from collections.abc import MutableMapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from hueflight.daemon.config import LOOPBACK, ServerConfig
+
+PROTOCOL = "hueflight.v1"  #: of the web socket
+TOKEN_PROTOCOL = "hueflight.token."  #: browsers can't set headers of a web socket
+OPEN_PATHS = ("/health",)  #: need no token; nor does the page, which holds no secret
+GUARDED = ("/api/", "/metrics", "/openapi.json")
+_CLIENTS_KEPT = 1024
+_HEADERS = [
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-frame-options", b"DENY"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (
+        b"content-security-policy",
+        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+        b"connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+]
+
+
+class Refused(Exception):  # noqa: N818 - a decision, not an error
+    """A request that is not let in."""
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status = status
+
+
+class Guard:
+    """Middleware around everything.
+
+    Parameters
+    ----------
+    app : what is guarded.
+    config : limits.
+    port : where the daemon listens.
+    token : that clients must show, None for none.
+    """
+
+    def __init__(
+        self, app: ASGIApp, config: ServerConfig, /, *, port: int, token: str | None
+    ) -> None:
+        self._app, self._config, self._token = app, config, token
+        names = {*LOOPBACK, config.host, *config.allowed_hosts} - {"0.0.0.0", "::", ""}
+        self._hosts = {name.lower() for name in names}
+        self._port = port
+        self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let a request in, or answer why not."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        try:
+            headers = _headers(scope)
+            self._check(scope, headers)
+            limited = _Body(receive, self._config.max_body_bytes, headers)
+        except Refused as refused:
+            await _refuse(scope, receive, send, refused)
+            return
+        await self._app(scope, limited if scope["type"] == "http" else receive, _stamped(send))
+
+    def _check(self, scope: Scope, headers: MutableMapping[str, str]) -> None:
+        self._check_rate((scope.get("client") or ("unknown", 0))[0])
+        host = headers.get("host", "")
+        if not self._is_ours(host):
+            raise Refused(421, f"host {host[:80]!r} is not served here: see server.allowed_hosts")
+        origin = headers.get("origin")
+        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+            raise Refused(403, "the request comes from a page of another origin")
+        site = headers.get("sec-fetch-site", "none")
+        if site not in ("same-origin", "none") and scope["path"].startswith(GUARDED):
+            raise Refused(403, "the request comes from a page of another site")
+        if self._token is not None and scope["path"].startswith(GUARDED):
+            self._check_token(headers)
+
+    def _is_ours(self, host: str) -> bool:
+        try:
+            parts = urlsplit(f"//{host}")
+            name, port = parts.hostname or "", parts.port
+        except ValueError:
+            return False
+        return name.lower() in self._hosts and (port or 80) == self._port
+
+    def _check_token(self, headers: MutableMapping[str, str]) -> None:
+        assert self._token is not None
+        shown = headers.get("authorization", "").removeprefix("Bearer ")
+        for offered in headers.get("sec-websocket-protocol", "").split(","):
+            if offered.strip().startswith(TOKEN_PROTOCOL):
+                shown = offered.strip().removeprefix(TOKEN_PROTOCOL)
+        if not hmac.compare_digest(shown.encode(), self._token.encode()):
+            raise Refused(401, "a token is required: Authorization: Bearer TOKEN")
+
+    def _check_rate(self, client: str) -> None:
+        """A bucket of requests for each address, refilled at a steady rate."""
+        config, now = self._config, time.monotonic()
+        left, since = self._buckets.pop(client, (float(config.burst), now))
+        left = min(float(config.burst), left + (now - since) * config.requests_per_s)
+        allowed = left >= 1
+        self._buckets[client] = (left - 1 if allowed else left, now)
+        while len(self._buckets) > _CLIENTS_KEPT:
+            self._buckets.popitem(last=False)
+        if not allowed:
+            raise Refused(429, f"more than {config.requests_per_s:g} requests a second")
+
+
+class _Body:
+    """Reads a request's body up to a limit."""
+
+    def __init__(self, receive: Receive, limit: int, headers: MutableMapping[str, str]) -> None:
+        self._receive, self._left, self._limit = receive, limit, limit
+        told = headers.get("content-length", "0")
+        if not told.isdigit() or int(told) > limit:
+            raise Refused(413, f"a request may have {limit} bytes")
+
+    async def __call__(self) -> Message:
+        message = await self._receive()
+        if message["type"] == "http.request":
+            self._left -= len(message.get("body", b""))
+            if self._left < 0:
+                # as if the client had gone: nothing of it is looked at
+                return {"type": "http.disconnect"}
+        return message
+
+
+def _headers(scope: Scope) -> MutableMapping[str, str]:
+    """Header fields by lower-case name; one that decides who comes in may stand once only."""
+    found: dict[str, str] = {}
+    for raw_name, raw_value in scope["headers"]:
+        name = raw_name.decode("latin-1").lower()
+        if name in found and name in ("host", "origin", "authorization", "content-length"):
+            raise Refused(400, f"header {name!r} stands twice")
+        found[name] = raw_value.decode("latin-1")
+    return found
+
+
+def _stamped(send: Send) -> Send:
+    async def stamped(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            names = {name.lower() for name, _ in message["headers"]}
+            extra = [pair for pair in _HEADERS if pair[0] not in names]
+            if b"cache-control" not in names:
+                extra.append((b"cache-control", b"no-store"))
+            message = {**message, "headers": [*message["headers"], *extra]}
+        await send(message)
+
+    return stamped
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, refused: Refused) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008, "reason": str(refused)[:120]})
+        return
+    headers: list[Any] = [(b"content-type", b"application/json"), (b"connection", b"close")]
+    if refused.status == 401:
+        headers.append((b"www-authenticate", b"Bearer"))
+    if refused.status == 429:
+        headers.append((b"retry-after", b"1"))
+    body = json.dumps({"error": str(refused)}).encode()
+    stamped = _stamped(send)
+    await stamped({"type": "http.response.start", "status": refused.status, "headers": headers})
+    await stamped({"type": "http.response.body", "body": body})

@@ -1,0 +1,160 @@
+"""The web socket of the live page: the newest picture to each viewer, never a queue of old ones.
+
+A viewer is sent the next picture when it has said that the last one is shown. A slow one sees
+fewer pictures; it can hold up neither the others nor acquisition.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections import OrderedDict
+
+import msgspec
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from hueflight.daemon.guard import PROTOCOL
+from hueflight.daemon.pictures import Picture
+from hueflight.daemon.service import Service
+from hueflight.daemon.wire import encode_picture
+
+STATUS_S = 0.5
+SEND_TIMEOUT_S = 15.0  #: a viewer that takes nothing for so long is let go
+SHOWN_TIMEOUT_S = 5.0  #: a viewer that never says "shown" gets a picture this often
+MESSAGES_PER_S = 200  #: from a viewer; more is an attack
+_REMEMBERED = 64
+
+
+class Shown(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a viewer says: the number of the picture that is on its screen."""
+
+    shown: int
+
+
+class Hub:
+    """Spreads pictures to viewers.
+
+    Parameters
+    ----------
+    service : asked for the status; told of latencies.
+    max_viewers : at the same time.
+    """
+
+    def __init__(self, service: Service, max_viewers: int, /) -> None:
+        self._service = service
+        self._max_viewers = max_viewers
+        self._viewers: set[Viewer] = set()
+        self._message = b""
+        self._number = 0
+        self._received: OrderedDict[int, float] = OrderedDict()
+
+    def publish(self, picture: Picture, message: bytes) -> None:
+        """Offer a picture to all viewers."""
+        self._message, self._number = message, picture.number
+        self._received[picture.number] = picture.received_s
+        while len(self._received) > _REMEMBERED:
+            self._received.popitem(last=False)
+        for viewer in self._viewers:
+            viewer.offer(picture.number, message)
+
+    def shown(self, number: int) -> None:
+        """A viewer has a picture on its screen."""
+        received_s = self._received.get(number)
+        if received_s is not None:
+            self._service.latencies_s.append(time.monotonic() - received_s)
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serve one viewer until it leaves."""
+        if len(self._viewers) >= self._max_viewers:
+            await socket.close(1013, f"{self._max_viewers} viewers are here already")
+            return
+        offered = socket.scope.get("subprotocols", [])
+        await socket.accept(subprotocol=PROTOCOL if PROTOCOL in offered else None)
+        viewer = Viewer(socket)
+        self._viewers.add(viewer)
+        self._service.viewers = len(self._viewers)
+        try:
+            latest = self._service.pictures.latest
+            if latest is not None and latest.number != self._number:
+                self.publish(latest, await asyncio.to_thread(encode_picture, latest))
+            elif self._message:
+                viewer.offer(self._number, self._message)
+            await viewer.run(self)
+        finally:
+            self._viewers.discard(viewer)
+            self._service.viewers = len(self._viewers)
+
+    def status(self) -> str:
+        """The status as text."""
+        return msgspec.json.encode({"status": self._service.status()}).decode()
+
+
+class Viewer:
+    """One open live picture."""
+
+    def __init__(self, socket: WebSocket) -> None:
+        self._socket = socket
+        self._offered: tuple[int, bytes] | None = None
+        self._news = asyncio.Event()
+        self._ready = asyncio.Event()
+        self._ready.set()
+        self._sending = asyncio.Lock()
+
+    def offer(self, number: int, message: bytes) -> None:
+        """Put the newest picture in the place of one not yet sent."""
+        self._offered = (number, message)
+        self._news.set()
+
+    async def run(self, hub: Hub) -> None:
+        """Until the viewer leaves, or is let go."""
+        tasks = [
+            asyncio.create_task(work)
+            for work in (self._send_pictures(), self._send_status(hub), self._listen(hub))
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        if self._socket.client_state == WebSocketState.CONNECTED:
+            try:
+                await asyncio.wait_for(self._socket.close(1008), 1.0)
+            except (RuntimeError, TimeoutError, WebSocketDisconnect):
+                return  # it has closed meanwhile
+
+    async def _send_pictures(self) -> None:
+        while True:
+            await self._news.wait()
+            with contextlib.suppress(TimeoutError):  # a sleeping tab: a picture now and then
+                await asyncio.wait_for(self._ready.wait(), SHOWN_TIMEOUT_S)
+            self._news.clear()
+            self._ready.clear()
+            assert self._offered is not None
+            async with self._sending, asyncio.timeout(SEND_TIMEOUT_S):
+                await self._socket.send_bytes(self._offered[1])
+
+    async def _send_status(self, hub: Hub) -> None:
+        while True:
+            async with self._sending, asyncio.timeout(SEND_TIMEOUT_S):
+                await self._socket.send_text(hub.status())
+            await asyncio.sleep(STATUS_S)
+
+    async def _listen(self, hub: Hub) -> None:
+        since, count = time.monotonic(), 0
+        while True:
+            message = await self._socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            if time.monotonic() - since > 1.0:
+                since, count = time.monotonic(), 0
+            count += 1
+            if count > MESSAGES_PER_S:
+                return
+            try:
+                shown = msgspec.json.decode(message.get("text") or b"", type=Shown)
+            except (msgspec.DecodeError, UnicodeError):
+                return  # not our page
+            self._ready.set()
+            hub.shown(shown.shown)

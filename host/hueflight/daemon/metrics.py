@@ -1,0 +1,101 @@
+"""Counters and gauges for Prometheus, read from the same status that people see."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    Metric,
+)
+from prometheus_client.registry import Collector
+
+from hueflight.daemon.service import Service
+
+
+def thread_cpu_s() -> dict[str, float]:
+    """CPU seconds of each thread of this program that has a name of its own."""
+    found: dict[str, float] = {}
+    for thread in threading.enumerate():
+        if thread.ident is None:
+            continue
+        try:
+            clock = time.pthread_getcpuclockid(thread.ident)
+            seconds = time.clock_gettime(clock)
+        except (OSError, AttributeError):
+            continue  # it has just ended, or the system has no such clocks
+        name = thread.name.split("-")[0] if thread.name.startswith("Thread-") else thread.name
+        found[name] = found.get(name, 0.0) + seconds
+    return found
+
+
+class _Status(Collector):
+    def __init__(self, service: Service) -> None:
+        self._service = service
+
+    def collect(self) -> Iterator[Metric]:
+        status = self._service.status()
+        yield from _counters(status)
+        yield from _gauges(status)
+        cpu = CounterMetricFamily(
+            "hueflight_thread_cpu_seconds", "CPU time by thread", labels=["thread"]
+        )
+        for name, seconds in thread_cpu_s().items():
+            cpu.add_metric([name], seconds)
+        yield cpu
+
+
+def _counters(status: dict[str, Any]) -> Iterator[Metric]:
+    totals, link = status["totals"], status["link"]
+    for name, text, value in (
+        ("frames_exposed", "Frames that the camera took", totals["exposed"]),
+        ("frames_delivered", "Frames counted into histograms", totals["delivered"]),
+        ("photons", "Photons in them", totals["photons"]),
+        ("received_bytes", "Bytes from the camera", totals["bytes"]),
+        ("pictures", "Pictures reconstructed", status["picture"]["number"]),
+        ("pictures_skipped", "Histograms too old to be shown", status["picture"]["skipped"]),
+        ("connections", "Times the camera was opened", link["connections"]),
+        ("link_errors", "Stalls, overflows and failed transfers", link["errors"]),
+        ("host_stalls", "Times the host asked the camera for nothing", link["stalls"]),
+    ):
+        yield CounterMetricFamily(f"hueflight_{name}", text, value=value)
+    lost = CounterMetricFamily("hueflight_frames_lost", "Frames lost, by place", labels=["place"])
+    for place, frames in status["lost"].items():
+        lost.add_metric([place], frames)
+    yield lost
+
+
+def _gauges(status: dict[str, Any]) -> Iterator[Metric]:
+    age = status["picture"]["age_s"]
+    latency = status["latency_s"] or {}
+    for name, text, value in (
+        ("running", "1 while a run is on", status["state"] == "running"),
+        ("camera_connected", "1 while the camera is there", status["state"] != "disconnected"),
+        ("simulated", "1 if the photons are simulated", status["simulated"]),
+        ("recording", "1 while a recording is being made", bool(status["recording"]["name"])),
+        ("recording_failed", "1 if it has broken off", bool(status["recording"]["failure"])),
+        ("recorder_queue_bytes", "Bytes waiting for disk", status["recording"]["queue_bytes"]),
+        ("link_queue_bytes", "Bytes waiting to be counted", status["link"]["queue_bytes"]),
+        ("picture_age_seconds", "Age of the latest picture", float("nan") if age is None else age),
+        ("viewers", "Open live pictures", status["viewers"]),
+        ("latency_p50_seconds", "Last photon to shown, median", latency.get("p50", float("nan"))),
+        ("latency_p99_seconds", "Last photon to shown, 99 %", latency.get("p99", float("nan"))),
+    ):
+        yield GaugeMetricFamily(f"hueflight_{name}", text, value=float(value))
+
+
+def make_registry(service: Service) -> CollectorRegistry:
+    """A registry of one daemon."""
+    registry = CollectorRegistry()
+    registry.register(_Status(service))
+    return registry
+
+
+def render(registry: CollectorRegistry) -> bytes:
+    """The text format of Prometheus."""
+    return generate_latest(registry)

@@ -1,0 +1,160 @@
+"""Live pictures: the newest histogram reconstructed, again and again; older ones are skipped."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.calibration import Calibration
+from hueflight.capture.acquisition import LiveBlock
+from hueflight.errors import HueflightError
+from hueflight.ingest.table import Counts
+from hueflight.instrument import Instrument
+from hueflight.reconstruction.reconstruct import METHODS, reconstruct
+
+_WAIT_S = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """What there is to see at one moment.
+
+    Attributes
+    ----------
+    number : counts pictures from 1.
+    kind : of the run.
+    counts : the histogram behind it, (row, col, code).
+    image : reconstructed, None without a calibration.
+    photons : (row, col).
+    frames : behind it.
+    device_s : device clock at the start of its last exposure, seconds.
+    received_s, ready_s : monotonic clock when its last photon had arrived, and when it was done.
+    """
+
+    number: int
+    kind: str
+    counts: Counts
+    image: xr.Dataset | None
+    photons: NDArray[np.integer]
+    frames: int
+    device_s: float
+    received_s: float
+    ready_s: float
+
+
+class Pictures:
+    """Reconstructs in a thread of its own.
+
+    Parameters
+    ----------
+    instrument : of the histograms.
+    method : see `reconstruct`; empty for the best there is.
+    on_picture : told of each picture, in the thread.
+
+    Attributes
+    ----------
+    calibration : used from the next picture on; None shows photons alone.
+    latest : the newest picture.
+    made, skipped : pictures reconstructed, and histograms that were too old by then.
+    problem : why the latest histogram gave no image; empty if it did.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        /,
+        *,
+        method: str = "",
+        on_picture: Callable[[Picture], None],
+    ) -> None:
+        if method and method not in METHODS:
+            raise HueflightError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
+        self.instrument = instrument
+        self.method = method or ("joint" if "joint" in METHODS else METHODS[0])
+        self.calibration: Calibration | None = None
+        self.latest: Picture | None = None
+        self.made = self.skipped = 0
+        self.problem = ""
+        self._on_picture = on_picture
+        self._waiting: LiveBlock | None = None
+        self._shown: LiveBlock | None = None
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
+        self._thread.start()
+
+    def offer(self, block: LiveBlock, /) -> None:
+        """Take a histogram if it is newer than what waits; never blocks."""
+        with self._changed:
+            older, self._waiting = self._waiting, block
+            self._changed.notify()
+        if older is not None:
+            self.skipped += 1
+            older.give_back()
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(timeout=10)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                if self._waiting is None and not self._closing:
+                    self._changed.wait(_WAIT_S)
+                block, self._waiting = self._waiting, None
+                if self._closing:
+                    return
+            if block is not None:
+                self._make(block)
+
+    def _make(self, live: LiveBlock) -> None:
+        block = live.block
+        steps = list(block.counts.values())
+        counts = steps[-1]  # one LED at a time: the one that fires now
+        image = self._reconstruct(counts, live.kind)
+        first = int(self.instrument.sensor.reports_empty)
+        photons = (
+            image["photons"].values.astype(np.int64)
+            if image is not None
+            else block.frames - counts[..., 0].astype(np.int64)
+            if first
+            else counts.sum(axis=-1, dtype=np.int64)
+        )
+        self.made += 1
+        picture = Picture(
+            number=self.made,
+            kind=live.kind,
+            counts=counts,
+            image=image,
+            photons=photons,
+            frames=block.frames,
+            device_s=block.last_tick / block.clock_hz if block.clock_hz else 0.0,
+            received_s=live.received_s,
+            ready_s=time.monotonic(),
+        )
+        self.latest = picture
+        shown, self._shown = self._shown, live
+        if shown is not None:
+            shown.give_back()
+        self._on_picture(picture)
+
+    def _reconstruct(self, counts: Counts, kind: str) -> xr.Dataset | None:
+        calibration = self.calibration
+        if calibration is None or kind not in ("scene", "reference"):
+            return None
+        try:
+            image = reconstruct(counts, calibration, method=self.method)
+        except HueflightError as error:
+            self.problem = str(error)
+            return None
+        self.problem = ""
+        return image

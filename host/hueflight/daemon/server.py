@@ -1,0 +1,92 @@
+"""Running the daemon: a socket, a web server with limits, an end that finishes recordings."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import Any
+
+import structlog
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from hueflight.daemon.app import make_app
+from hueflight.daemon.config import ConfigError, DaemonConfig
+from hueflight.devices.rig import Connect
+from hueflight.instrument import Instrument
+
+log = structlog.get_logger("hueflight.daemon")
+REQUEST_S = 10.0  #: a request must have come in by then
+IDLE_S = 5  #: an idle connection is closed after so long
+HEADER_BYTES = 1 << 14
+VIEWER_MESSAGE_BYTES = 1 << 12
+END_S = 5
+
+
+class _Impatient(H11Protocol):
+    """HTTP/1.1 that hangs up on clients who take for ever to send a request."""
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._deadline = self.loop.call_later(REQUEST_S, self._hang_up)
+
+    def _hang_up(self) -> None:
+        if self.cycle is None and not self.transport.is_closing():
+            self.transport.close()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._deadline.cancel()
+        super().connection_lost(exc)
+
+
+def open_socket(config: DaemonConfig) -> socket.socket:
+    """The socket to listen on.
+
+    Raises
+    ------
+    ConfigError
+        If the address can't be had.
+    """
+    server = config.server
+    family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
+    try:
+        return socket.create_server((server.host, server.port), family=family, backlog=128)
+    except OSError as error:
+        raise ConfigError(
+            f"can't listen on {server.host} port {server.port}: {error.strerror}: is another "
+            "daemon running? Each camera's daemon needs a port of its own (server.port)"
+        ) from None
+
+
+def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> None:
+    """Run until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    ConfigError
+        If the address can't be had, or a token is needed and missing.
+    """
+    token = config.server.token()
+    sock = open_socket(config)
+    host, port = sock.getsockname()[:2]
+    shown = f"[{host}]" if ":" in host else host
+    app = make_app(config, connect, instrument, port=port, token=token)
+    settings = uvicorn.Config(
+        app,
+        http=_Impatient,
+        ws="websockets-sansio",
+        ws_per_message_deflate=False,  # pictures hardly shrink, and it costs most of a core
+        ws_max_size=VIEWER_MESSAGE_BYTES,
+        ws_ping_interval=20.0,
+        ws_ping_timeout=20.0,
+        limit_concurrency=config.server.max_connections,
+        timeout_keep_alive=IDLE_S,
+        timeout_graceful_shutdown=END_S,
+        h11_max_incomplete_event_size=HEADER_BYTES,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        lifespan="on",
+    )
+    log.info("listening", url=f"http://{shown}:{port}/", name=config.name, token=token is not None)
+    asyncio.run(uvicorn.Server(settings).serve(sockets=[sock]))

@@ -7,7 +7,7 @@ from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out
 
 from .config import PulseConfig
-from .counter import SaturatingCounter
+from ..counter import SaturatingCounter
 
 
 class PhaseStatistics(wiring.Component):
@@ -60,7 +60,7 @@ class PhaseStatistics(wiring.Component):
             ]
         full = Signal(self.config.lanes)
         for lane in range(self.config.lanes):
-            counter = SaturatingCounter()
+            counter = SaturatingCounter(32, domain="pulse")
             m.submodules[f"count{lane}"] = counter
             hit = Signal()
             m.d.pulse += hit.eq(self.event & (self.lane == lane))

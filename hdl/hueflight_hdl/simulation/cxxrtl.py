@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from amaranth.back import rtlil
-from amaranth.hdl import ClockDomain, Module, Value
+from amaranth.hdl import ClockDomain, Module, Signal, Value
 from amaranth.lib import wiring
 
 from hueflight_protocol.errors import HueflightError
@@ -142,7 +142,7 @@ def compile_design(
     ports: list[Port] = []
     for path, member, value in design.signature.flatten(design):
         signal = Value.cast(value)
-        if len(signal):
+        if isinstance(signal, Signal) and len(signal):  # streams may have constant members
             name = "__".join(str(part) for part in path)
             signals[name] = signal
             ports.append(Port(name, len(signal), member.flow is wiring.In))

@@ -1,0 +1,1 @@
+"""The control protocol in gateware, for both boards: register file and request engine."""

@@ -1,0 +1,1 @@
+"""Whole designs, from link to pins."""

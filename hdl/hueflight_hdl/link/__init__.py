@@ -1,0 +1,1 @@
+"""Links: what carries bytes between board and host."""

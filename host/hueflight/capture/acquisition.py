@@ -45,13 +45,14 @@ class LiveBlock:
     ----------
     block : counts and what stands behind them.
     received_s : monotonic clock when the block's last byte had arrived.
-    kind : of the run.
+    kind, run : of the run, and its label.
     give_back : call when done, so that the memory serves again.
     """
 
     block: Block
     received_s: float
     kind: str
+    run: int
     give_back: Callable[[], None]
 
 
@@ -356,7 +357,7 @@ class Acquisition:
             run.stream.recycle(block)
             return
         returned = self._returned
-        self._on_block(LiveBlock(block, now, run.plan.kind, lambda: returned.put(block)))
+        self._on_block(LiveBlock(block, now, run.plan.kind, run.label, lambda: returned.put(block)))
 
     def _ask_after(self, run: Run, now: float) -> None:
         """A run is on and nothing comes: is the camera there, does it still run?"""

@@ -17,7 +17,7 @@ from hueflight.ingest.stream import Block, HistogramStream
 from hueflight.instrument import Instrument
 from hueflight_protocol import Event, EventCode, decode_packet
 
-LIVE_FRAMES = 240  #: behind each live picture at least, as far as the picture rate allows
+LIVE_FRAMES = 480  #: behind each live picture at least, as far as the picture rate allows
 PICTURES_HZ = 30.0
 SLOW_PICTURES_HZ = 10.0
 _FRAMES_TO_BE_LATE = 20
@@ -31,7 +31,7 @@ class RunSettings:
     ----------
     rate_hz : frames per second to expect.
     block_frames : frames from one live histogram to the next.
-    window_blocks : each live histogram is the sum of so many.
+    window_blocks : each live picture is of the sum of so many.
     threads : that count photons.
     recorder_queue_bytes, min_free_bytes : see `Recorder`.
     """
@@ -59,7 +59,7 @@ class RunSettings:
         pictures_hz : live histograms per second; by default 30, or 10 where so few frames come
             that pictures overlap.
         picture_frames : frames behind each picture; by default all since the one before, and at
-            least 240.
+            least 480.
         """
         rate = instrument.sensor.frame_rate_hz or 1000.0
         if pictures_hz is None:
@@ -90,7 +90,6 @@ class Run:
         self.stream = HistogramStream(
             instrument,
             block_frames=settings.block_frames,
-            window_blocks=1 if plan.keep else settings.window_blocks,
             by_step=by_step,
             threads=settings.threads,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -55,6 +56,7 @@ class Pictures:
     ----------
     instrument : of the histograms.
     method : see `reconstruct`; empty for the best there is.
+    window_blocks : each picture is of the sum of so many histograms, the newest ones.
     on_picture : told of each picture, in the thread.
 
     Attributes
@@ -71,6 +73,7 @@ class Pictures:
         /,
         *,
         method: str = "",
+        window_blocks: int = 1,
         on_picture: Callable[[Picture], None],
     ) -> None:
         if method and method not in METHODS:
@@ -82,21 +85,30 @@ class Pictures:
         self.made = self.skipped = 0
         self.problem = ""
         self._on_picture = on_picture
-        self._waiting: LiveBlock | None = None
-        self._shown: LiveBlock | None = None
+        self._window: deque[LiveBlock] = deque()
+        self._window_blocks = window_blocks
+        self._fresh = False
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
         self._thread.start()
 
     def offer(self, block: LiveBlock, /) -> None:
-        """Take a histogram if it is newer than what waits; never blocks."""
+        """Take a histogram; never blocks."""
         with self._changed:
-            older, self._waiting = self._waiting, block
+            if self._window and self._window[-1].run != block.run:
+                self._empty()
+            self._window.append(block)
+            while len(self._window) > self._window_blocks:
+                self._window.popleft().give_back()
+            if self._fresh:
+                self.skipped += 1
+            self._fresh = True
             self._changed.notify()
-        if older is not None:
-            self.skipped += 1
-            older.give_back()
+
+    def _empty(self) -> None:
+        while self._window:
+            self._window.popleft().give_back()
 
     def close(self) -> None:
         """End the thread."""
@@ -108,24 +120,37 @@ class Pictures:
     def _work(self) -> None:
         while True:
             with self._changed:
-                if self._waiting is None and not self._closing:
+                if not self._fresh and not self._closing:
                     self._changed.wait(_WAIT_S)
-                block, self._waiting = self._waiting, None
                 if self._closing:
                     return
-            if block is not None:
-                self._make(block)
+                if not self._fresh:
+                    continue
+                self._fresh = False
+                blocks = list(self._window)
+                counts = self._add(blocks)
+            self._make(blocks[-1], counts, sum(live.block.frames for live in blocks))
 
-    def _make(self, live: LiveBlock) -> None:
+    def _add(self, blocks: list[LiveBlock]) -> Counts:
+        """Sum of histograms in an array of our own: theirs serve again meanwhile."""
+        # one LED at a time: the one that fires now
+        parts = [live.block.counts[max(live.block.counts)] for live in blocks]
+        frames = sum(live.block.frames for live in blocks)
+        dtype = np.uint16 if frames <= np.iinfo(np.uint16).max else np.uint32
+        total = np.empty(parts[0].shape, dtype)
+        np.copyto(total, parts[0])
+        for part in parts[1:]:
+            np.add(total, part, out=total)
+        return total
+
+    def _make(self, live: LiveBlock, counts: Counts, frames: int) -> None:
         block = live.block
-        steps = list(block.counts.values())
-        counts = steps[-1]  # one LED at a time: the one that fires now
         image = self._reconstruct(counts, live.kind)
         first = int(self.instrument.sensor.reports_empty)
         photons = (
             image["photons"].values.astype(np.int64)
             if image is not None
-            else block.frames - counts[..., 0].astype(np.int64)
+            else frames - counts[..., 0].astype(np.int64)
             if first
             else counts.sum(axis=-1, dtype=np.int64)
         )
@@ -136,15 +161,12 @@ class Pictures:
             counts=counts,
             image=image,
             photons=photons,
-            frames=block.frames,
+            frames=frames,
             device_s=block.last_tick / block.clock_hz if block.clock_hz else 0.0,
             received_s=live.received_s,
             ready_s=time.monotonic(),
         )
         self.latest = picture
-        shown, self._shown = self._shown, live
-        if shown is not None:
-            shown.give_back()
         self._on_picture(picture)
 
     def _reconstruct(self, counts: Counts, kind: str) -> xr.Dataset | None:

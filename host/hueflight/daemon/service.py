@@ -59,7 +59,6 @@ class Service:
         self._lock = threading.Lock()
         self._recording_name = ""
         self.last_recording: dict[str, Any] = {}
-        self.pictures = Pictures(instrument, method=config.method, on_picture=on_picture)
         settings = RunSettings.of(
             instrument,
             pictures_hz=config.pictures_hz or None,
@@ -72,6 +71,12 @@ class Service:
             threads=config.threads,
             recorder_queue_bytes=config.recording.queue_mb << 20,
             min_free_bytes=config.recording.min_free_mb << 20,
+        )
+        self.pictures = Pictures(
+            instrument,
+            method=config.method,
+            window_blocks=settings.window_blocks,
+            on_picture=on_picture,
         )
         self.acquisition = Acquisition(
             connect,

@@ -69,7 +69,7 @@ def camera_plugged_in() -> bool:
         return False
 
 
-def simulated(instrument: Instrument, *, scene: str = "fig1", frames: int = 240) -> Connect:
+def simulated(instrument: Instrument, *, scene: str = "fig1", frames: int = 960) -> Connect:
     """How to open a simulated rig; the photons are drawn once and kept between connections."""
     from hueflight.devices.simulated import SimulatedInstrument
 

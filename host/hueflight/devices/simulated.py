@@ -46,7 +46,7 @@ class SimulatedInstrument:
         *,
         scene: str = "fig1",
         distance: float = 0.40,
-        frames: int = 240,
+        frames: int = 960,
         seed: int = 1,
     ) -> None:
         if instrument.sensor.scan_steps > 1:

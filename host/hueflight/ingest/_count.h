@@ -5,7 +5,8 @@
 enum {
     TILE = 64,    /* pixels counted at a time */
     SPARE = 32,   /* counters between two pixels': powers of two collide in the cache's sets */
-    AHEAD = 8,    /* frames fetched ahead */
+    LINE = 64,    /* bytes that come into the cache together */
+    AHEAD = 8,    /* frames whose hits are fetched ahead */
     SLACK = 8,    /* bytes that may be read behind a payload: its packet's trailer is longer */
     MOST_FRAMES = 65535 /* what a tile's counters hold */
 };
@@ -19,6 +20,7 @@ struct Count {
     const uint8_t *data;
     size_t size;
     unsigned pixels, code_bits, run;
+    size_t all; /* chunks of a whole frame */
     const uint64_t *chunks;
     size_t stride;
     const uint32_t *chosen; /* frames to count, places in `chunks` */
@@ -27,7 +29,7 @@ struct Count {
     int wide;
     int mode, check; /* check: leave a tile alone if one of its counters would not hold the sum */
     uint8_t *done;   /* (tile,): tiles whose counts are in `out`; others only are added */
-    uint16_t *tile;
+    uint16_t *tile, *rows[TILE]; /* counters of the pixels at hand; where each pixel's begin */
     const uint8_t **dense;
     Sparse *sparse;
     Piece *found, *sorted;
@@ -40,55 +42,65 @@ struct Count {
 /* The codes from bit `at` of p on, as many as one load gives. */
 INLINE uint64_t codes_at(const uint8_t *p, size_t at) { return load64(p + (at >> 3)) >> (at & 7); }
 
+/* `bits` bits of a word from bit `from` on. `fast` says that the processor has bit instructions;
+ * it is a constant in each variant of the code, as are the others where this is called. */
+INLINE size_t field(uint64_t word, unsigned from, unsigned bits, int fast)
+{
+#ifdef X86_DISPATCH
+    if (fast) { /* one instruction instead of three; compilers don't find it */
+        uint64_t value, control = bits << 8 | from;
+        __asm__("bextr %2, %1, %0" : "=r"(value) : "r"(word), "r"(control) : "cc");
+        return value;
+    }
+#endif
+    (void)fast;
+    return word >> from & (((size_t)1 << bits) - 1);
+}
+
 /* Count a tile of `pixels` codes, packed without gaps. */
-INLINE void count_dense(uint16_t *tile, const uint8_t *p, unsigned pixels, const unsigned bits)
+INLINE void count_dense(uint16_t *tile, const uint8_t *p, unsigned pixels, const unsigned bits,
+                        const int fast)
 {
     const size_t stride = ((size_t)1 << bits) + SPARE, mask = ((size_t)1 << bits) - 1;
     /* Eight codes are `bits` bytes: the first codes come from the load at their start, the others
      * from the load that ends with them. */
     const unsigned behind = bits > 8 ? bits - 8 : 0;
-#define CODE(j) ((((j) + 1) * bits <= 64 ? a >> (j) * bits : b >> ((j) * bits - 8 * behind)) & mask)
     for (unsigned group = pixels / 8; group; group--, p += bits, tile += 8 * stride) {
         uint64_t a = load64(p), b = load64(p + behind);
-        tile[CODE(0)]++;
-        tile[CODE(1) + stride]++;
-        tile[CODE(2) + 2 * stride]++;
-        tile[CODE(3) + 3 * stride]++;
-        tile[CODE(4) + 4 * stride]++;
-        tile[CODE(5) + 5 * stride]++;
-        tile[CODE(6) + 6 * stride]++;
-        tile[CODE(7) + 7 * stride]++;
+#pragma GCC unroll 8
+        for (unsigned i = 0; i < 8; i++)
+            if ((i + 1) * bits <= 64)
+                tile[i * stride + field(a, i * bits, bits, fast)]++;
+            else
+                tile[i * stride + field(b, i * bits - 8 * behind, bits, fast)]++;
     }
-#undef CODE
     for (unsigned i = 0; i < pixels % 8; i++, tile += stride)
         tile[codes_at(p, (size_t)i * bits) & mask]++;
 }
 
 /* Count `hits` hits of a tile: the ones of `map` are its pixels with a photon, their codes are
  * packed from bit `at` of p on. */
-INLINE void count_sparse(uint16_t *tile, uint64_t map, const uint8_t *p, size_t at, unsigned hits,
-                         const unsigned bits)
+INLINE void count_sparse(uint16_t *const *rows, uint64_t map, const uint8_t *p, size_t at,
+                         unsigned hits, const unsigned bits, const int fast)
 {
-    const size_t stride = ((size_t)1 << bits) + SPARE, mask = ((size_t)1 << bits) - 1;
     const unsigned per_load = 57 / bits < 8 ? 57 / bits : 8; /* up to 7 bits are codes before */
-    uint64_t codes;
     for (; hits >= per_load; hits -= per_load, at += per_load * bits) {
-        codes = codes_at(p, at);
+        uint64_t codes = codes_at(p, at);
 #pragma GCC unroll 8
         for (unsigned i = 0; i < per_load; i++, map &= map - 1)
-            tile[LOWEST_BIT(map) * stride + (codes >> i * bits & mask)]++;
+            rows[LOWEST_BIT(map)][field(codes, i * bits, bits, fast)]++;
     }
     if (!hits)
         return;
-    codes = codes_at(p, at);
+    uint64_t codes = codes_at(p, at);
     for (; hits; hits--, map &= map - 1, codes >>= bits)
-        tile[LOWEST_BIT(map) * stride + (codes & mask)]++;
+        rows[LOWEST_BIT(map)][field(codes, 0, bits, fast)]++;
 }
 
 /* What happens to a pixel's row of the table, given the tile's counters of that pixel and the
  * frames without a code: those go to code 0, where the camera's "no photon" and the codes that it
- * did not send belong. The tile itself is not written: reading it again would have to wait until
- * all writes to the table have gone through. For both widths of the table's counters. */
+ * did not send belong. One pass: a second one over what the first has written would have to wait
+ * until the table's memory has taken it. For both widths of the table's counters. */
 #define DEFINE_ROWS(word, largest) \
 INLINE int over_##word(const word *row, const uint16_t *seen, size_t used, uint16_t rest) \
 { \
@@ -97,34 +109,54 @@ INLINE int over_##word(const word *row, const uint16_t *seen, size_t used, uint1
         over |= (word)(row[code] + seen[code]) < row[code]; \
     return over != 0; \
 } \
-INLINE uint64_t put_##word(word *row, const uint16_t *seen, size_t used, size_t codes, \
-                           uint16_t rest, int mode) \
+INLINE uint16_t put_##word(word *restrict row, uint16_t *restrict seen, size_t used, size_t codes, \
+                           size_t frames, int mode, uint64_t *clipped) \
 { \
-    uint64_t clipped = 0; \
     const word first = row[0]; \
+    const uint16_t zeros = seen[0]; \
+    uint16_t sum = 0; \
     if (mode == STORE) { \
-        for (size_t code = 0; code < used; code++) \
+        for (size_t code = 0; code < used; code++) { \
+            sum = (uint16_t)(sum + seen[code]); \
             row[code] = seen[code]; \
+            seen[code] = 0; \
+        } \
         for (size_t code = used; code < codes; code++) \
             row[code] = 0; \
-        row[0] = rest; \
-    } else if (mode == ADD) { \
-        for (size_t code = 0; code < used; code++) \
-            row[code] = (word)(row[code] + seen[code]); \
-        row[0] = (word)(first + rest); \
-    } else if (mode == SUBTRACT) { \
-        for (size_t code = 0; code < used; code++) \
-            row[code] = (word)(row[code] - seen[code]); \
-        row[0] = (word)(first - rest); \
-    } else \
+    } else if (mode == ADD) \
         for (size_t code = 0; code < used; code++) { \
-            uint16_t more = code ? seen[code] : rest; \
-            word room = (word)(largest - row[code]); \
-            word taken = more < room ? (word)more : room; \
-            clipped += (uint64_t)(more - taken); \
-            row[code] = (word)(row[code] + taken); \
+            sum = (uint16_t)(sum + seen[code]); \
+            row[code] = (word)(row[code] + seen[code]); \
+            seen[code] = 0; \
         } \
-    return clipped; \
+    else if (mode == SUBTRACT) \
+        for (size_t code = 0; code < used; code++) { \
+            sum = (uint16_t)(sum + seen[code]); \
+            row[code] = (word)(row[code] - seen[code]); \
+            seen[code] = 0; \
+        } \
+    else \
+        for (size_t code = 0; code < used; code++) { \
+            sum = (uint16_t)(sum + seen[code]); \
+            word room = (word)(largest - row[code]); \
+            word taken = code && seen[code] > room ? room : code ? seen[code] : 0; \
+            *clipped += code ? (uint64_t)(seen[code] - taken) : 0; \
+            row[code] = (word)(row[code] + taken); \
+            seen[code] = 0; \
+        } \
+    const uint16_t photons = (uint16_t)(sum - zeros), rest = (uint16_t)(frames - photons); \
+    if (mode == STORE) \
+        row[0] = rest; \
+    else if (mode == ADD) \
+        row[0] = (word)(first + rest); \
+    else if (mode == SUBTRACT) \
+        row[0] = (word)(first - rest); \
+    else { \
+        word room = (word)(largest - first), taken = rest < room ? (word)rest : room; \
+        *clipped += (uint64_t)(rest - taken); \
+        row[0] = (word)(first + taken); \
+    } \
+    return photons; \
 }
 DEFINE_ROWS(uint16_t, UINT16_MAX)
 DEFINE_ROWS(uint32_t, UINT32_MAX)
@@ -143,28 +175,28 @@ INLINE void put_tile(Count *count, size_t first, unsigned pixels, int touched, u
 {
     const size_t codes = (size_t)1 << count->code_bits, stride = codes + SPARE;
     const size_t used = touched ? codes : 1; /* counters that may differ from 0 */
-    uint16_t *row16 = (uint16_t *)count->out + first * codes, *seen = count->tile;
+    uint16_t *row16 = (uint16_t *)count->out + first * codes;
     uint32_t *row32 = (uint32_t *)count->out + first * codes;
     int put = (count->mode == SUBTRACT) == *done, over = 0;
     if (put && count->check && count->mode == ADD)
         for (unsigned pixel = 0; pixel < pixels; pixel++) {
-            const uint16_t *counts = seen + pixel * stride;
-            uint16_t rest = (uint16_t)(count->frames - row_photons(counts, used));
-            over |= count->wide ? over_uint32_t(row32 + pixel * codes, counts, used, rest)
-                                : over_uint16_t(row16 + pixel * codes, counts, used, rest);
+            const uint16_t *seen = count->tile + pixel * stride;
+            uint16_t rest = (uint16_t)(count->frames - row_photons(seen, used));
+            over |= count->wide ? over_uint32_t(row32 + pixel * codes, seen, used, rest)
+                                : over_uint16_t(row16 + pixel * codes, seen, used, rest);
         }
     count->pending += (size_t)over;
     put &= !over;
-    for (unsigned pixel = 0; pixel < pixels; pixel++, seen += stride) {
-        if (put) {
-            uint16_t photons = row_photons(seen, used);
-            uint16_t rest = (uint16_t)(count->frames - photons);
-            count->photons += photons;
-            count->clipped += count->wide
-                ? put_uint32_t(row32 + pixel * codes, seen, used, codes, rest, count->mode)
-                : put_uint16_t(row16 + pixel * codes, seen, used, codes, rest, count->mode);
-        }
-        memset(seen, 0, used * sizeof *seen);
+    for (unsigned pixel = 0; pixel < pixels; pixel++) {
+        uint16_t *seen = count->tile + pixel * stride;
+        if (!put)
+            memset(seen, 0, used * sizeof *seen);
+        else if (count->wide)
+            count->photons += put_uint32_t(row32 + pixel * codes, seen, used, codes, count->frames,
+                                           count->mode, &count->clipped);
+        else
+            count->photons += put_uint16_t(row16 + pixel * codes, seen, used, codes, count->frames,
+                                           count->mode, &count->clipped);
     }
     if (put)
         *done = count->mode != SUBTRACT;
@@ -187,9 +219,12 @@ static void put_with_avx2(Count *count, size_t first, unsigned pixels, int touch
 static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
 {
     const uint64_t *entries = count->chunks + chunk * count->stride;
+    const uint64_t *next = entries + (chunk + 1 < count->all ? count->stride : 0);
     count->dense_count = count->sparse_count = 0;
     for (size_t i = 0; i < count->frames; i++) {
         uint64_t entry = entries[count->chosen[i]];
+        PREFETCH(count->data + (uint32_t)next[count->chosen[i]]);
+        PREFETCH(count->data + (uint32_t)next[count->chosen[i]] + LINE);
         if (!entry)
             continue;
         size_t offset = (uint32_t)entry;
@@ -207,21 +242,24 @@ static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
     return 1;
 }
 
-INLINE void count_dense_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits)
+/* Bytes that the next tile needs are fetched while this one is counted: all frames of a tile lie
+ * between, enough for the slowest memory. */
+INLINE void count_dense_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits,
+                             const int fast)
 {
+    const unsigned tile_bytes = TILE / 8 * bits;
     for (size_t i = 0; i < count->dense_count; i++) {
         const uint8_t *p = count->dense[i] + at / 8 * bits;
-        if (i + AHEAD < count->dense_count) {
-            PREFETCH(count->dense[i + AHEAD] + at / 8 * bits);
-            PREFETCH(count->dense[i + AHEAD] + at / 8 * bits + 64);
-        }
-        count_dense(count->tile, p, pixels, bits);
+        for (unsigned next = tile_bytes + LINE / 2; next < 2 * tile_bytes + LINE; next += LINE)
+            PREFETCH(p + next);
+        count_dense(count->tile, p, pixels, bits, fast);
     }
 }
 
 /* Frames are taken in order of their hits in this tile: a loop whose length changes from frame to
  * frame costs more in wrong guesses of the processor than in counting. */
-INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits)
+INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits,
+                                  const int fast)
 {
     const uint64_t inside = pixels < TILE ? ((uint64_t)1 << pixels) - 1 : ~(uint64_t)0;
     uint32_t place[TILE + 1] = {0};
@@ -235,8 +273,6 @@ INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, co
         count->found[i] = (Piece){sparse->codes, map, sparse->used * bits, hits};
         sparse->used = (uint16_t)(sparse->used + hits);
         place[hits]++;
-        if (i + AHEAD < count->sparse_count)
-            PREFETCH(count->sparse[i + AHEAD].bits + at / 8);
     }
     for (unsigned hits = 0; hits <= TILE; hits++) {
         uint32_t here = place[hits];
@@ -248,13 +284,13 @@ INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, co
     for (size_t i = place[0]; i < count->sparse_count; i++) {
         const Piece *piece = &count->sorted[i];
         if (i + AHEAD < count->sparse_count)
-            PREFETCH(piece[AHEAD].codes + piece[AHEAD].at / 8);
-        count_sparse(count->tile, piece->map, piece->codes, piece->at, piece->hits, bits);
+            PREFETCH_NOW(piece[AHEAD].codes + piece[AHEAD].at / 8);
+        count_sparse(count->rows, piece->map, piece->codes, piece->at, piece->hits, bits, fast);
     }
     return (unsigned)(count->sparse_count - place[0]);
 }
 
-INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits)
+INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const int fast)
 {
     size_t first = chunk * count->run, left = count->pixels - first;
     Shape shape = chunk_shape(left < count->run ? (unsigned)left : count->run, bits);
@@ -265,32 +301,32 @@ INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits)
         unsigned pixels = shape.pixels - at < TILE ? shape.pixels - at : TILE;
         int touched = count->dense_count > 0;
         if (pixels == TILE)
-            count_dense_tile(count, at, TILE, bits);
+            count_dense_tile(count, at, TILE, bits, fast);
         else
-            count_dense_tile(count, at, pixels, bits);
+            count_dense_tile(count, at, pixels, bits, fast);
         if (count->sparse_count)
-            touched |= count_sparse_tile(count, at, pixels, bits) > 0;
+            touched |= count_sparse_tile(count, at, pixels, bits, fast) > 0;
         count->put(count, first + at, pixels, touched, done);
     }
     return 1;
 }
 
-INLINE int count_any(Count *count, size_t chunk)
+INLINE int count_any(Count *count, size_t chunk, const int fast)
 {
     switch (count->code_bits) {
-#define X(n) case n: return count_chunk(count, chunk, n);
+#define X(n) case n: return count_chunk(count, chunk, n, fast);
     X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13) X(14) X(15) X(16)
 #undef X
     }
     return 0;
 }
 
-static int count_plain(Count *count, size_t chunk) { return count_any(count, chunk); }
+static int count_plain(Count *count, size_t chunk) { return count_any(count, chunk, 0); }
 #ifdef X86_DISPATCH
 __attribute__((target("popcnt,bmi,bmi2")))
 static int count_with_bit_instructions(Count *count, size_t chunk)
 {
-    return count_any(count, chunk);
+    return count_any(count, chunk, 1);
 }
 #endif
 
@@ -307,12 +343,15 @@ static int count_chunks(Count *count, size_t begin, size_t end)
         count->put = put_with_avx2;
 #endif
     size_t room = count->frames ? count->frames : 1;
+    count->all = (count->pixels + count->run - 1) / count->run;
     int result = NO_MEMORY;
     count->tile = calloc(TILE * (((size_t)1 << count->code_bits) + SPARE), sizeof(uint16_t));
     count->dense = malloc(room * sizeof *count->dense);
     count->sparse = malloc(room * sizeof *count->sparse);
     count->found = malloc(room * sizeof *count->found);
     count->sorted = malloc(room * sizeof *count->sorted);
+    for (size_t pixel = 0; count->tile && pixel < TILE; pixel++)
+        count->rows[pixel] = count->tile + pixel * (((size_t)1 << count->code_bits) + SPARE);
     if (count->tile && count->dense && count->sparse && count->found && count->sorted) {
         result = OK;
         for (size_t chunk = begin; result == OK && chunk < end; chunk++)

@@ -91,3 +91,15 @@ static uint32_t crc_more(uint32_t crc, const uint8_t *p, size_t size)
 }
 
 static uint32_t crc32c(const uint8_t *p, size_t size) { return ~crc_more(~0u, p, size); }
+
+/* Call once, before anything else. */
+static void start_kernels(void)
+{
+    make_crc_tables();
+#ifdef X86_DISPATCH
+    has_crc_instruction = __builtin_cpu_supports("sse4.2");
+    has_bit_instructions = __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("bmi")
+                        && __builtin_cpu_supports("bmi2");
+    has_avx2 = __builtin_cpu_supports("avx2");
+#endif
+}

@@ -173,13 +173,7 @@ static PyMethodDef methods[] = {
 
 static int start_up(PyObject *module)
 {
-    make_crc_tables();
-#ifdef X86_DISPATCH
-    has_crc_instruction = __builtin_cpu_supports("sse4.2");
-    has_bit_instructions = __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("bmi")
-                        && __builtin_cpu_supports("bmi2");
-    has_avx2 = __builtin_cpu_supports("avx2");
-#endif
+    start_kernels();
 #define X(name) #name " "
     if (PyModule_AddStringConstant(module, "STATE", STATE(X)))
         return -1;

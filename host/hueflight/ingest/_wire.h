@@ -15,7 +15,8 @@
 #error "the kernels need gcc or clang; without them the NumPy twin is used"
 #endif
 #define INLINE static inline __attribute__((always_inline))
-#define PREFETCH(p) __builtin_prefetch(p)
+#define PREFETCH_NOW(p) __builtin_prefetch(p)       /* into the first cache, for soon */
+#define PREFETCH(p) __builtin_prefetch(p, 0, 2) /* into the second, for later */
 #define LOWEST_BIT(m) ((unsigned)__builtin_ctzll(m))
 #define POPCOUNT(m) ((unsigned)__builtin_popcountll(m))
 
@@ -38,6 +39,7 @@ INLINE uint32_t load32(const uint8_t *p)
 }
 INLINE uint64_t load64(const uint8_t *p) { return load32(p) | (uint64_t)load32(p + 4) << 32; }
 
+/* What this processor has; set by start_kernels. */
 static int has_crc_instruction, has_bit_instructions, has_avx2;
 
 #endif

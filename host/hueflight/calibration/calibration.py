@@ -17,7 +17,7 @@ from hueflight.instrument import Instrument
 from hueflight.timebins import TimeBins
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """All that reconstruction knows of an instrument. Made by `calibrate`, kept by `save`.
 
@@ -30,7 +30,9 @@ class Calibration:
     frames : (row, col) exposures behind it, or None where they can't be known.
     windows : which bins belong to which pulse, for a pixel without delay of its own.
     pixel_delay_ns : (row, col) each pixel's delay against the pooled reference.
-    gain : (band,) α of eq. 3: reflectance per count and frame of an average pixel.
+    pixel_delay_std_ns : (row, col) how well that is known.
+    gain : (band,) α of eq. 3: reflectance per count and frame of an average pixel. Here and
+        below counts are of photons that arrived, those that an exposure lost included.
     templates : waveform of each band, pooled over pixels.
     brightness : (band,) photons per frame from a white target at the reference's distance in
         an average pixel (per capture where frames can't be known).
@@ -46,6 +48,7 @@ class Calibration:
     frames: NDArray[np.float64] | None
     windows: tuple[PulseWindow, ...]
     pixel_delay_ns: NDArray[np.float64]
+    pixel_delay_std_ns: NDArray[np.float64]
     gain: NDArray[np.float64]
     templates: Templates
     brightness: NDArray[np.float64]

@@ -8,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration.defects import find_hot
+from hueflight.calibration.shrinkage import shrunk
+from hueflight.calibration.templates import Templates
 from hueflight.instrument import Instrument
 from hueflight.reconstruction.correlation import correlate, peak_centroid
+from hueflight.reconstruction.kernels import fit_pixels
+from hueflight.reconstruction.plan import View, make_plan
 from hueflight.timebins import TimeBins
 
 CENTROID_HALF_WIDTH = 0.9  #: half the centroid's window per FWHM of the pulses; measured best
@@ -54,6 +58,35 @@ def align(
     delay[dead | hot] = 0.0
     pooled = np.einsum("rc,rcb->b", weight, aligned, dtype=np.float64)
     return pooled, delay, hot
+
+
+def refined_delays(
+    light: NDArray[np.float32],
+    delay_ns: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    templates: Templates,
+    instrument: Instrument,
+    bins: TimeBins,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Each pixel's delay (row, col) by maximum likelihood, freed from noise, and its deviation.
+
+    A reference's noise would otherwise be part of every depth measured against it.
+    """
+    shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
+    plan = make_plan(
+        [View(bins, templates)],
+        shortest_fwhm_ns=shortest_ns,
+        brightness=instrument.band_brightness(),
+        search_ns=(-shortest_ns, shortest_ns),
+        offsets_ns=(float(delay_ns[usable].min()), float(delay_ns[usable].max())),
+    )
+    found = fit_pixels(light[usable], delay_ns[usable], plan)
+    delays, variance = np.zeros_like(delay_ns), np.ones_like(delay_ns)
+    delays[usable] = delay_ns[usable] + found.delay_ns
+    variance[usable] = found.delay_std_ns**2
+    best, left = shrunk(delays, variance, usable)
+    best -= np.median(best[usable])
+    return np.where(usable, best, 0.0), np.sqrt(np.where(usable, left, 0.0))
 
 
 def _shift_bins(light: NDArray[np.float32], shift: NDArray[np.intp]) -> NDArray[np.float32]:

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead, find_hot_in_dark
-from hueflight.calibration.delays import align
+from hueflight.calibration.delays import align, refined_delays
+from hueflight.calibration.shrinkage import shrunk
+from hueflight.calibration.templates import Templates
 from hueflight.calibration.waveforms import (
     brightness_of,
     templates_from_bands,
@@ -21,6 +23,7 @@ from hueflight.calibration.windows import PulseWindow, find_windows, window_sums
 from hueflight.errors import CalibrationError
 from hueflight.histograms import check_histogram, frames_per_pixel
 from hueflight.instrument import Instrument
+from hueflight.reconstruction.pileup import lost_photons_factor, photons_per_period, unshadowed
 from hueflight.timebins import TimeBins
 
 
@@ -86,18 +89,24 @@ def calibrate(
         raise CalibrationError("every pixel of the reference is dead or hot: nothing to calibrate")
 
     windows = find_windows(pooled, instrument, bins, distance=distance)
+    arrived = _arrived(light, exposures, instrument)
     circular = bins.period_ns is not None
-    gain, flat_field = _gains(light, windows, delay, usable, exposures, known, circular=circular)
-    delay_ns = delay * (bins.span_ns / bins.count)
-    delay_ns[~usable] = 0.0
-    if bands is None:
-        templates = templates_from_train(light, delay_ns, usable, windows, instrument, bins)
-    else:
-        captures = _band_captures(bands, instrument, bins)
-        templates = templates_from_bands(captures, delay_ns, usable, windows, instrument, bins)
-    photons_per_frame = brightness_of(light, delay_ns, usable, templates, bins)
+    gain, flat_field = _gains(arrived, windows, delay, usable, exposures, known, circular=circular)
+    captures = None if bands is None else _band_captures(bands, instrument, bins)
+
+    def waveforms(delay_ns: NDArray[np.float64]) -> Templates:
+        if captures is None:
+            return templates_from_train(arrived, delay_ns, usable, windows, instrument, bins)
+        return templates_from_bands(captures, delay_ns, usable, windows, instrument, bins)
+
+    delay_ns = np.where(usable, delay, 0.0) * (bins.span_ns / bins.count)
+    delay_ns, delay_std_ns = refined_delays(
+        arrived, delay_ns, usable, waveforms(delay_ns), instrument, bins
+    )
+    templates = waveforms(delay_ns)
+    brightness = brightness_of(arrived, delay_ns, usable, templates, bins)
     if exposures is not None:
-        photons_per_frame = photons_per_frame / exposures[usable].mean()
+        brightness = brightness / exposures[usable].mean()
     return Calibration(
         instrument=instrument,
         distance=float(distance),
@@ -106,9 +115,10 @@ def calibrate(
         frames=exposures,
         windows=windows,
         pixel_delay_ns=delay_ns,
+        pixel_delay_std_ns=delay_std_ns,
         gain=gain,
         templates=templates,
-        brightness=photons_per_frame / known,
+        brightness=brightness / known,
         flat_field=flat_field,
         dead=dead,
         hot=hot,
@@ -140,6 +150,17 @@ def measured_widths(flat: NDArray[Any], bins: TimeBins) -> NDArray[np.float64]:
     return density / density.sum() * bins.span_ns
 
 
+def _arrived(
+    light: NDArray[np.float32], frames: NDArray[np.float64] | None, instrument: Instrument
+) -> NDArray[np.float32]:
+    """Counts (row, col, bin) of the photons that arrived, those lost in an exposure included."""
+    if frames is None:
+        return light
+    hits = light.sum(axis=-1, dtype=np.float64)
+    whole = unshadowed(light, photons_per_period(hits, frames, instrument))
+    return (whole * lost_photons_factor(hits, frames)[..., None]).astype(np.float32)
+
+
 def _band_captures(bands: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.float32]:
     """The one-LED captures, checked, (band, row, col, bin) in time order."""
     captures = np.asarray(bands)
@@ -149,14 +170,12 @@ def _band_captures(bands: ArrayLike, instrument: Instrument, bins: TimeBins) -> 
             f"bands has shape {captures.shape}; instrument {instrument.name!r} needs "
             f"(band, row, col, code) = {expected}: one capture for each LED, in its order"
         )
-    return np.stack(
-        [
-            bins.in_time_order(check_histogram(capture, instrument, name=f"bands[{band}]")).astype(
-                np.float32
-            )
-            for band, capture in enumerate(captures)
-        ]
-    )
+    lights = np.empty((*captures.shape[:-1], bins.count), np.float32)
+    for band, capture in enumerate(captures):
+        counts = check_histogram(capture, instrument, name=f"bands[{band}]")
+        light = bins.in_time_order(counts).astype(np.float32)
+        lights[band] = _arrived(light, frames_per_pixel(counts, instrument, None), instrument)
+    return lights
 
 
 def _hot_in_dark(dark: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.bool_]:
@@ -196,8 +215,8 @@ def _gains(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """α per band (eq. 3) and the flat field (row, col), mean 1 over usable pixels.
 
-    α uses the mean over all pixels, the flat field the sum over all bands: either is measured
-    with far more photons than one pixel has in one band.
+    α uses the mean over all pixels, the flat field the sum over all bands, freed from its noise:
+    either is known far better than one pixel's photons in one band would tell.
     """
     sums = np.empty((reflectance.size, *delay.shape))
     for row in range(light.shape[0]):
@@ -206,9 +225,18 @@ def _gains(
             light[row], windows, shift, bands=reflectance.size, circular=circular
         )
     per_frame: NDArray[np.float64] = sums if frames is None else sums / frames
+    photons = np.asarray(sums.sum(axis=0))
     total = np.asarray(per_frame.sum(axis=0))
-    flat_field = np.where(usable, total / total[usable].mean(), np.nan)
-    mean = np.array([(band[usable] / flat_field[usable]).mean() for band in per_frame])
+    known = usable & np.isfinite(total) & (total > 0)
+    if not known.any():
+        raise CalibrationError(
+            "every exposure of the reference holds a photon: how many were lost can't be known. "
+            "Dim the LEDs or shorten the exposure"
+        )
+    relative = total / total[known].mean()
+    flat_field, _ = shrunk(relative, relative**2 / np.maximum(photons, 1), known)
+    flat_field = np.where(known, flat_field, np.nan)
+    mean = np.array([(band[known] / flat_field[known]).mean() for band in per_frame])
     if (mean <= 0).any():
         dark_bands = np.flatnonzero(mean <= 0).tolist()
         raise CalibrationError(

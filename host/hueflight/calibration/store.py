@@ -27,7 +27,8 @@ from hueflight.timebins import TimeBins
 
 FORMAT = "hueflight calibration"
 FORMAT_NUMBER = 1
-PLANES = ("pixel_delay_ns", "gain", "brightness", "flat_field", "dead", "hot")
+PIXEL_PLANES = ("pixel_delay_ns", "pixel_delay_std_ns", "flat_field", "dead", "hot")
+BAND_VECTORS = ("gain", "brightness")
 
 
 def save(calibration: Calibration, path: Path, *, overwrite: bool = False) -> None:
@@ -85,7 +86,9 @@ def load(path: Path) -> Calibration:
 
 def _write(calibration: Calibration, path: Path) -> None:
     group = zarr.create_group(path, zarr_format=3)
-    arrays: dict[str, NDArray[Any]] = {name: getattr(calibration, name) for name in PLANES}
+    arrays: dict[str, NDArray[Any]] = {
+        name: getattr(calibration, name) for name in PIXEL_PLANES + BAND_VECTORS
+    }
     arrays["reference"] = calibration.reference
     arrays["bin_edges_ns"] = calibration.bins.edges_ns
     arrays["bin_codes"] = calibration.bins.codes.astype(np.int64)
@@ -142,9 +145,8 @@ def _read(group: zarr.Group, attributes: dict[str, Any]) -> Calibration:
     expected = {
         "reference": (rows, cols, bins.count),
         "bin_edges_ns": (bins.count + 1,),
-        "gain": (len(instrument.bands),),
-        "brightness": (len(instrument.bands),),
-        **dict.fromkeys(("pixel_delay_ns", "flat_field", "dead", "hot"), (rows, cols)),
+        **dict.fromkeys(BAND_VECTORS, (len(instrument.bands),)),
+        **dict.fromkeys(PIXEL_PLANES, (rows, cols)),
     }
     values = {name: array(name) for name in expected}
     for name, shape in expected.items():

@@ -46,13 +46,16 @@ class Templates:
         """Spacing of the spline's knots."""
         return self.circle_ns / self.coefficients.shape[-1]
 
-    def shares(self, edges_ns: ArrayLike, delay_ns: float = 0.0) -> NDArray[np.float64]:
-        """Share of each band's light between successive edges when it comes later, (band, bin)."""
-        return np.diff(self._cumulative(np.asarray(edges_ns, np.float64) - delay_ns))
+    def shares(self, edges_ns: ArrayLike, delay_ns: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Share of each band's light between successive edges when it comes later, (band, bin).
 
-    def slopes(self, edges_ns: ArrayLike, delay_ns: float = 0.0) -> NDArray[np.float64]:
+        Delays (…, 1) give (band, …, bin).
+        """
+        return np.diff(self._cumulative(np.asarray(edges_ns, np.float64) - np.asarray(delay_ns)))
+
+    def slopes(self, edges_ns: ArrayLike, delay_ns: ArrayLike = 0.0) -> NDArray[np.float64]:
         """Derivative of `shares` by the delay, per ns, (band, bin)."""
-        return -np.diff(self.density(np.asarray(edges_ns, np.float64) - delay_ns))
+        return -np.diff(self.density(np.asarray(edges_ns, np.float64) - np.asarray(delay_ns)))
 
     def density(self, time_ns: ArrayLike) -> NDArray[np.float64]:
         """Light per ns at given times, (band, time)."""
@@ -72,7 +75,7 @@ class Templates:
         knots = self.coefficients.shape[-1]
         running = np.cumsum(self.coefficients, axis=-1)
         turn, place = np.divmod(cell - 2, knots)
-        total = running[:, place] + turn * running[:, -1:]
+        total = running[:, place] + np.multiply.outer(running[:, -1], turn)
         for offset in range(-1, 3):
             total = total + self.coefficients[:, (cell + offset) % knots] * b_spline_integral(
                 phase - offset

@@ -15,6 +15,7 @@ from hueflight.reconstruction.quality import Quality
 UNITS = {
     "depth": "m",
     "depth_std": "m",
+    "other_depth": "m",
     "reflectance": "1",
     "reflectance_std": "1",
     "background": "count / code",
@@ -23,6 +24,7 @@ UNITS = {
 LONG_NAMES = {
     "depth": "distance from the camera along the optical axis",
     "depth_std": "standard deviation of depth",
+    "other_depth": "second depth that is nearly as likely, of pixels flagged ambiguous",
     "reflectance": "reflectance relative to the reference target",
     "reflectance_std": "standard deviation of reflectance",
     "background": "counts per code that the pulses do not explain",
@@ -40,6 +42,8 @@ class Estimates:
     reflectance, reflectance_std : (band, row, col).
     background, photons : (row, col).
     quality : (row, col) bits of `Quality`.
+    other_depth : (row, col), m: second depth of ambiguous pixels, else NaN; None from a method
+        that looks for one depth only.
     """
 
     depth: NDArray[np.float64]
@@ -49,6 +53,7 @@ class Estimates:
     background: NDArray[np.float64]
     photons: NDArray[np.float64]
     quality: NDArray[np.uint16]
+    other_depth: NDArray[np.float64] | None = None
 
 
 def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> xr.Dataset:
@@ -57,6 +62,8 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
     variables = {}
     for name, unit in UNITS.items():
         values = getattr(estimates, name)
+        if values is None:
+            continue
         dims = cube if values.ndim == 3 else plane
         ordered = np.moveaxis(values, 0, -1) if values.ndim == 3 else values
         attributes = {"units": unit, "long_name": LONG_NAMES[name]}

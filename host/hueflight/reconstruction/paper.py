@@ -17,6 +17,7 @@ from hueflight.calibration import Calibration, window_sums
 from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.correlation import correlate, peak_centroid
 from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.pileup import lost_photons_factor
 from hueflight.reconstruction.quality import Quality
 
 TILE_PIXELS = 512  #: pixels correlated at once: their spectra stay in the cache
@@ -178,27 +179,12 @@ def _reflectance_scale(
     flat_field = calibration.flat_field
     if frames is None or calibration.frames is None:
         return 1 / flat_field
-    scale = 1 / (flat_field * frames)
-    if pileup_correction:
-        reference_photons = calibration.reference.sum(axis=-1, dtype=np.float64)
-        scale = scale * lost_photons_factor(photons, frames)
-        scale = scale / lost_photons_factor(reference_photons, calibration.frames)
-    return scale
-
-
-def lost_photons_factor(
-    hits: NDArray[np.float64], frames: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Photons that arrived per photon that was kept, where an exposure keeps only its first.
-
-    Where every exposure holds a photon the number that arrived can't be known: NaN.
-    """
-    occupancy = np.divide(hits, frames, out=np.zeros_like(hits), where=frames > 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        factor = -np.log1p(-occupancy) / occupancy
-    factor[occupancy == 0] = 1.0
-    factor[~np.isfinite(factor)] = np.nan
-    return factor
+    photons_of = photons
+    frames_of = frames
+    if not pileup_correction:  # the calibration is in photons that arrived: take the loss back
+        photons_of = calibration.reference.sum(axis=-1, dtype=np.float64)
+        frames_of = calibration.frames
+    return lost_photons_factor(photons_of, frames_of) / (flat_field * frames)
 
 
 def _range_ratio(depth: NDArray[np.float64], calibration: Calibration) -> NDArray[np.float64]:

@@ -7,13 +7,13 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from hueflight.calibration import Calibration
-from hueflight.errors import HistogramError
+from hueflight.errors import HistogramError, HueflightError
 from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
-from hueflight.reconstruction import paper
+from hueflight.reconstruction import joint, paper
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.quality import Quality
 
-METHODS = ("paper",)
+METHODS = ("joint", "paper")
 
 
 def reconstruct(
@@ -21,7 +21,8 @@ def reconstruct(
     calibration: Calibration,
     /,
     *,
-    method: str = "paper",
+    method: str = "joint",
+    depth_range: tuple[float, float] | None = None,
     frames: ArrayLike | None = None,
     range_correction: bool = False,
     pileup_correction: bool = True,
@@ -32,7 +33,10 @@ def reconstruct(
     ----------
     histogram : (row, col, code) counts, raw codes on the last axis.
     calibration : of the same instrument.
-    method : ``"paper"``, the published correlation method.
+    method : ``"joint"``, maximum likelihood of delay, every band's amplitude and background
+        together; or ``"paper"``, the published correlation method.
+    depth_range : nearest and farthest depth to search, m (joint only); default half the pulses'
+        spacing about the reference's distance.
     frames : exposures behind the histogram, a number or (row, col); by default the sum over
         codes where the sensor reports its empty exposures, else as many as the reference had.
     range_correction : multiply reflectance by the squared ratio of distances.
@@ -55,12 +59,20 @@ def reconstruct(
     counts = check_histogram(histogram, instrument)
     exposures = frames_per_pixel(counts, instrument, frames)
     light = calibration.bins.in_time_order(counts).astype(np.float32, copy=False)
-    estimates = paper.estimate(
-        light,
-        exposures,
-        calibration,
-        range_correction=range_correction,
-        pileup_correction=pileup_correction,
-    )
+    corrections = {
+        "range_correction": range_correction,
+        "pileup_correction": pileup_correction,
+    }
+    if method == "joint":
+        estimates = joint.estimate(
+            light, exposures, calibration, depth_range=depth_range, **corrections
+        )
+    elif depth_range is not None:
+        raise HueflightError(
+            f"depth_range = {depth_range!r}: method {method!r} searches half the pulses' spacing "
+            "only; use method='joint'"
+        )
+    else:
+        estimates = paper.estimate(light, exposures, calibration, **corrections)
     estimates.quality[counters_full(counts)] |= int(Quality.SATURATED)
     return as_image(estimates, calibration, method=method)

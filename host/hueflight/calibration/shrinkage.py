@@ -1,0 +1,59 @@
+"""A quantity of each pixel, freed from the noise of its measurement.
+
+What is measured per pixel is noisier than what is measured over all. Rows, columns and pixels
+each get as much of their own deviation as exceeds the noise: the linear empirical-Bayes
+estimate of a hierarchical model (Efron & Morris, JASA 70, 311, 1975).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def shrunk(
+    values: NDArray[np.floating], variance: NDArray[np.floating], usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Best guess of each pixel's true value, and the variance that is left.
+
+    Parameters
+    ----------
+    values : (row, col) measured; variance : (row, col) of the measurement.
+    usable : (row, col) pixels that count; the others get the guess from row and column.
+    """
+    weight = np.where(usable, 1 / np.where(usable, variance, 1.0), 0.0)
+    known = np.where(usable, values, 0.0)
+    center = float((weight * known).sum() / weight.sum())
+    rest = np.where(usable, values - center, 0.0)
+    guess = np.full(values.shape, center)
+    for axis in (1, 0):  # what a row has in common, then a column
+        line = _line_effect(rest, weight, axis)
+        guess = guess + line
+        rest = np.where(usable, rest - line, 0.0)
+    noise = 1 / np.where(usable, weight, 1.0)
+    own = _excess_variance(rest[usable] ** 2 - noise[usable], weight[usable])
+    keep = np.where(usable, own / (own + noise), 0.0)
+    return guess + keep * rest, np.where(usable, keep * noise, own)
+
+
+def _line_effect(
+    rest: NDArray[np.float64], weight: NDArray[np.float64], axis: int
+) -> NDArray[np.float64]:
+    """Shrunken weighted mean along an axis, kept as a dimension."""
+    total = weight.sum(axis=axis, keepdims=True)
+    mean = (weight * rest).sum(axis=axis, keepdims=True) / np.maximum(total, 1e-300)
+    # the noise of the mean, pixels' own deviations included: from the scatter about it
+    count = (weight > 0).sum(axis=axis, keepdims=True)
+    scatter = (weight * (rest - mean) ** 2).sum(axis=axis, keepdims=True)
+    per_weight = np.maximum(scatter / np.maximum(count - 1, 1), 1.0)
+    noise = per_weight / np.maximum(total, 1e-300)
+    filled = total > 0
+    common = _excess_variance((mean**2 - noise)[filled], (1 / noise)[filled])
+    return np.where(filled, mean * common / (common + noise), 0.0)
+
+
+def _excess_variance(excess: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    """Variance beyond the noise, 0 where there is none."""
+    if excess.size < 2:
+        return 0.0 if not excess.size else max(float(excess[0]), 0.0)
+    return max(float((excess * weight).sum() / weight.sum()), 0.0)

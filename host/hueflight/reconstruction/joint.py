@@ -1,0 +1,183 @@
+"""Images by the joint maximum-likelihood fit: what `fit` gives, in metres and reflectance."""
+
+from __future__ import annotations
+
+from math import isfinite
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.calibration import Calibration
+from hueflight.errors import HueflightError
+from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.reconstruction.fit import DEFAULT, Fit, Switches
+from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.kernels import fit_pixels
+from hueflight.reconstruction.pileup import (
+    lost_photons_factor,
+    photons_per_period,
+    unshadowed,
+)
+from hueflight.reconstruction.plan import Plan, View, make_plan
+from hueflight.reconstruction.quality import Quality
+
+BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
+
+_plans: WeakKeyDictionary[Calibration, dict[tuple[float, float], Plan]] = WeakKeyDictionary()
+
+
+def plan_for(calibration: Calibration, search_ns: tuple[float, float]) -> Plan:
+    """Tables for a calibration; made once and kept as long as it lives."""
+    plans = _plans.setdefault(calibration, {})
+    if search_ns not in plans:
+        delays_ns = calibration.pixel_delay_ns[calibration.usable]
+        instrument = calibration.instrument
+        plans[search_ns] = make_plan(
+            [View(calibration.bins, calibration.templates)],
+            shortest_fwhm_ns=min(band.pulse_fwhm_ns for band in instrument.bands),
+            brightness=calibration.brightness,
+            search_ns=search_ns,
+            offsets_ns=(float(delays_ns.min()), float(delays_ns.max())),
+        )
+    return plans[search_ns]
+
+
+def search_range_ns(
+    calibration: Calibration, depth_range: tuple[float, float] | None
+) -> tuple[float, float]:
+    """Least and greatest delay against the reference.
+
+    Half the spacing of the pulses either way, or three quarters of a single shot, unless a
+    range of depths (m) is asked for.
+    """
+    if depth_range is None:
+        limit_ns = min(calibration.instrument.half_spacing_ns(), 0.75 * calibration.bins.span_ns)
+        return -limit_ns, limit_ns
+    near, far = depth_range
+    if not (isfinite(near) and isfinite(far) and near < far):
+        raise HueflightError(
+            f"depth_range = {depth_range!r}: give the nearest and the farthest depth in metres"
+        )
+    slowest = 1 / calibration.instrument.ray_cosine().min()  # the range of the outermost ray
+    low, high = (
+        2 * (depth - calibration.distance) / SPEED_OF_LIGHT_M_PER_NS for depth in depth_range
+    )
+    low, high = min(low, low * slowest), max(high, high * slowest)
+    period_ns = calibration.bins.period_ns
+    if period_ns is not None and high - low > period_ns:
+        reach = period_ns * SPEED_OF_LIGHT_M_PER_NS / 2
+        raise HueflightError(
+            f"depth_range = {depth_range!r} spans more than the {reach:.1f} m after which the "
+            f"period of {period_ns} ns repeats: narrow it"
+        )
+    return low, high
+
+
+def estimate(
+    light: NDArray[np.floating],
+    frames: NDArray[np.float64] | None,
+    calibration: Calibration,
+    *,
+    range_correction: bool = False,
+    pileup_correction: bool = True,
+    depth_range: tuple[float, float] | None = None,
+    switches: Switches = DEFAULT,
+) -> Estimates:
+    """Depth and reflectance of every pixel by the joint fit.
+
+    Parameters
+    ----------
+    light : (row, col, bin) counts in time order.
+    frames : (row, col) exposures behind them, or None to assume as many as the reference had.
+    range_correction : multiply reflectance by (distance / reference distance)².
+    pileup_correction : undo what an exposure that keeps only its first photon loses.
+    depth_range : depths to search, m; default half the pulses' spacing about the reference.
+    switches : what may be skipped.
+    """
+    rows, cols, _ = light.shape
+    bands = len(calibration.instrument.bands)
+    search_ns = search_range_ns(calibration, depth_range)
+    plan = plan_for(calibration, search_ns)
+    photons = light.sum(axis=-1, dtype=np.float64)
+    usable = calibration.usable
+    chosen = usable & (photons > 0)
+    seen = light[chosen]
+    if pileup_correction and frames is not None:
+        rate = photons_per_period(photons[chosen], frames[chosen], calibration.instrument)
+        seen = unshadowed(seen, rate)
+    found = fit_pixels(seen, calibration.pixel_delay_ns[chosen], plan, switches)
+
+    def plane(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        filled = np.full((*values.shape[1:], rows, cols), np.nan)
+        filled[..., chosen] = np.moveaxis(values, 0, -1)
+        return filled
+
+    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
+    known_ns = calibration.pixel_delay_std_ns[chosen]
+    depth = calibration.distance + plane(found.delay_ns) * along_axis
+    depth_std = plane(np.hypot(found.delay_std_ns, known_ns)) * along_axis
+    other = calibration.distance + plane(found.other_ns) * along_axis
+
+    quality = _quality(calibration, photons, found, chosen, search_ns)
+    scale = _reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
+    if pileup_correction and frames is not None:
+        quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
+    if range_correction:
+        known = calibration.distance > 0
+        ratio = depth / calibration.distance if known else np.full_like(depth, np.nan)
+        scale = scale * ratio**2
+    gain = scale / calibration.brightness[:, None, None]
+    starved = (quality & int(Quality.STARVED)) != 0
+    reflectance, deviation = gain * plane(found.amplitudes), gain * plane(found.amplitude_std)
+    for values in (depth, depth_std, other, *reflectance, *deviation):
+        values[starved] = np.nan
+    assert reflectance.shape == (bands, rows, cols)
+    return Estimates(
+        depth=depth,
+        depth_std=depth_std,
+        other_depth=other,
+        reflectance=reflectance,
+        reflectance_std=deviation,
+        background=plane(found.background) * calibration.bin_width_ns / calibration.bins.span_ns,
+        photons=photons,
+        quality=quality,
+    )
+
+
+def _quality(
+    calibration: Calibration,
+    photons: NDArray[np.float64],
+    found: Fit,
+    chosen: NDArray[np.bool_],
+    search_ns: tuple[float, float],
+) -> NDArray[np.uint16]:
+    quality = np.zeros(photons.shape, np.uint16)
+    quality[calibration.dead] |= int(Quality.DEAD)
+    quality[calibration.hot] |= int(Quality.HOT)
+    blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
+    starved = calibration.usable.copy()
+    starved[chosen] = ~(found.delay_std_ns < blind_ns)
+    quality[starved] |= int(Quality.STARVED)
+    two = np.zeros_like(starved)
+    two[chosen] = np.isfinite(found.other_ns)
+    quality[two] |= int(Quality.AMBIGUOUS)
+    return quality
+
+
+def _reflectance_scale(
+    photons: NDArray[np.float64],
+    frames: NDArray[np.float64] | None,
+    calibration: Calibration,
+    *,
+    pileup_correction: bool,
+) -> NDArray[np.float64]:
+    """Factor (row, col) from fitted photons to photons per frame of an average pixel."""
+    if frames is None or calibration.frames is None:
+        return 1 / calibration.flat_field
+    scale = 1 / (calibration.flat_field * frames)
+    if pileup_correction:
+        return scale * lost_photons_factor(photons, frames)
+    # the calibration is in photons that arrived: take the loss back
+    reference = calibration.reference.sum(axis=-1, dtype=np.float64)
+    return scale * lost_photons_factor(reference, calibration.frames)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
+from hueflight.analysis import region_spectra
 from hueflight.calibration import Calibration
 from hueflight.display import three_band_rgb, wavelength_colour
 from hueflight.reconstruction.correlation import correlate, peak_centroid
@@ -131,20 +131,24 @@ def reflectance_images(findings: Findings) -> Figure:
     return figure
 
 
-def region_spectra(findings: Findings) -> Figure:
+def spectra_of_regions(findings: Findings) -> Figure:
     """Figs. 4(k) and 5: mean spectra of regions against the truth."""
     capture, instrument = findings.main, findings.instrument
-    names = [name for name in SPECTRUM_REGIONS if name in capture.truth.regions]
+    regions = capture.truth.regions
+    names = [name for name in SPECTRUM_REGIONS if name in regions and regions[name].any()]
+    spectra = region_spectra(capture.image, {name: regions[name] for name in names})
     order = np.argsort(instrument.wavelengths_nm)
     wavelengths = instrument.wavelengths_nm[order]
     figure, axes = panels(2, 3, width=10, height=4.6, sharex=True, sharey=True)
     for name, place in zip(names, axes.flat, strict=False):
-        measured, spread, truth = region_spectrum(capture, name)
+        measured = spectra["reflectance"].sel(region=name).values[order]
+        error = spectra["reflectance_std"].sel(region=name).values[order]
+        truth = capture.truth.reflectance[:, regions[name]].mean(axis=1)[order]
         place.errorbar(
-            wavelengths, measured[order], yerr=spread[order], marker="o", markersize=4,
-            capsize=2, label="measured", **MEASURED,
+            wavelengths, measured / measured.max(), yerr=error / measured.max(), marker="o",
+            markersize=4, capsize=2, label="measured", **MEASURED,
         )  # fmt: skip
-        place.plot(wavelengths, truth[order], marker=".", label="truth", **TRUTH)
+        place.plot(wavelengths, truth / truth.max(), marker=".", label="truth", **TRUTH)
         place.set_title(name)
         place.set_ylim(0, 1.15)
     for place in axes[-1]:
@@ -264,19 +268,6 @@ def example_pixel(findings: Findings) -> tuple[int, int]:
     )
     candidates = np.flatnonzero(good)
     return row, int(candidates[candidates.size // 2])
-
-
-def region_spectrum(
-    capture: Capture, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Mean spectrum of a region, its standard error, and the truth, brightest band = 1 each."""
-    mask = capture.truth.regions[name]
-    values = capture.image["reflectance"].values[mask]
-    known = np.isfinite(values).all(axis=1)
-    measured = values[known].mean(axis=0)
-    error = values[known].std(axis=0) / np.sqrt(max(int(known.sum()), 1))
-    truth = capture.truth.reflectance[:, mask].mean(axis=1)
-    return measured / measured.max(), error / measured.max(), truth / truth.max()
 
 
 def _depth_limits(capture: Capture) -> tuple[float, float]:

@@ -63,7 +63,7 @@ SECTIONS = (
         "spectra", "Fig. 5 · Spectra of regions",
         "Mean over each region with its standard error, beside the simulated truth. Equation (2) "
         "subtracts no background, so dark bands read too high, as the paper found.",
-        figures.region_spectra,
+        figures.spectra_of_regions,
     ),
     Section(
         "depth", "Fig. 6 · Depth",

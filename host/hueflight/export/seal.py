@@ -20,8 +20,7 @@ def seal(folder: Path) -> None:
     """Write the list: relative path → CRC-32C of the content."""
     sums = {
         path.relative_to(folder).as_posix(): google_crc32c.value(path.read_bytes())
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != SEAL
+        for path in _files(folder)
     }
     (folder / SEAL).write_text(json.dumps(sums, indent=0), encoding="utf-8")
 
@@ -32,7 +31,7 @@ def check_seal(folder: Path) -> None:
     Raises
     ------
     FileFormatError
-        If a file is missing or has changed.
+        If a file is missing, has changed, or was added.
     """
     path = folder / SEAL
     if not path.exists():
@@ -42,6 +41,12 @@ def check_seal(folder: Path) -> None:
         entries = [(str(name), int(value)) for name, value in sums.items()]
     except (OSError, ValueError, AttributeError, TypeError) as error:
         raise FileFormatError(f"{str(folder)!r}: its list of checksums is damaged") from error
+    added = {path.relative_to(folder).as_posix() for path in _files(folder)} - set(sums)
+    if added:
+        raise FileFormatError(
+            f"{str(folder)!r} was changed: {min(added)} was not written with it. If that is meant, "
+            f"remove its list {SEAL}"
+        )
     for name, wanted in entries:
         member = folder / name
         if not member.is_file():
@@ -53,3 +58,8 @@ def check_seal(folder: Path) -> None:
                 f"{str(folder)!r} is damaged: {name} is not what was written (its checksum "
                 "differs). Copy it again, or make it again"
             )
+
+
+def _files(folder: Path) -> list[Path]:
+    """All files but the list itself."""
+    return sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SEAL)

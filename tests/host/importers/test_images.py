@@ -64,6 +64,9 @@ def test_every_flipped_bit_of_a_store_is_noticed(image: xr.Dataset, tmp_path: Pa
                 read_image(tmp_path / "a.zarr")
         path.write_bytes(whole)
     read_image(tmp_path / "a.zarr")
+    (tmp_path / "a.zarr" / "quality" / "0.0").write_bytes(b"a chunk that was all zero")
+    with pytest.raises(FileFormatError, match=r"was changed: quality/0\.0 was not written"):
+        read_image(tmp_path / "a.zarr")
 
 
 def test_damage_is_named(image: xr.Dataset, tmp_path: Path) -> None:

@@ -1,0 +1,192 @@
+"""Many captures: one task each, resumable, failures isolated."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+from hueflight.batch.cluster import DaskCluster
+from hueflight.batch.job import Job, Outcome, sweep
+from hueflight.batch.local import LocalWorkers
+from hueflight.calibration import Calibration
+from hueflight.errors import BatchError
+from hueflight.export.description import calibration_origin
+from hueflight.export.staging import staged
+from hueflight.progress import Progress, Silent, tracked
+from hueflight.recording.layout import DIGITS
+
+CALIBRATION = "calibration.zarr"  #: where a calibration given as an object is kept, in the results
+REPORT = "batch.json"  #: what became of every capture
+LOCK = ".batch.lock"
+
+
+class Executor(Protocol):
+    """Where work is done: `LocalWorkers`, `DaskCluster`, or what you bring."""
+
+    def run(self, job: Job, captures: Sequence[str], /) -> Iterator[Outcome]:
+        """Outcomes of all captures, in any order."""
+        ...
+
+
+@dataclass(frozen=True)
+class BatchReport:
+    """What became of a batch.
+
+    Attributes
+    ----------
+    outcomes : of all captures, in the order in which they were given.
+    """
+
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        """Those that could not be reconstructed."""
+        return tuple(outcome for outcome in self.outcomes if outcome.state == "failed")
+
+    @property
+    def peak_memory_bytes(self) -> int:
+        """The most memory that any one worker held."""
+        return max((outcome.peak_memory_bytes for outcome in self.outcomes), default=0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        counts = Counter(outcome.state for outcome in self.outcomes)
+        return {
+            "done": counts["done"],
+            "kept": counts["kept"],
+            "failed": counts["failed"],
+            "peak_memory_bytes": self.peak_memory_bytes,
+            "outcomes": [outcome.to_dict() for outcome in self.outcomes],
+        }
+
+
+def reconstruct_many(
+    captures: Iterable[str | Path],
+    out: str | Path,
+    /,
+    *,
+    calibration: Calibration | str | Path,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    executor: Executor | None = None,
+    options: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> BatchReport:
+    """Reconstruct many captures, each into a Zarr store ``OUT/NAME.zarr``.
+
+    What an earlier run has done is not done again, unless capture, calibration, options or
+    software have changed since. Captures that fail are listed in the result and in
+    ``OUT/batch.json``; they don't stop the others.
+
+    Parameters
+    ----------
+    captures : recordings (``.mcap``) or counts (``.npz``, ``.npy``, ``.h5``, …).
+    out : folder for the results; made if it is not there.
+    calibration : of the same instrument; an object is kept as ``OUT/calibration.zarr``.
+    workers : local processes, by default as many as there are cores.
+    scheduler : address of a Dask scheduler, instead of local processes.
+    executor : anything else that runs tasks, instead of either.
+    options : keywords of `reconstruct`, such as ``{"method": "joint"}``.
+    progress : told after each capture.
+
+    Raises
+    ------
+    BatchError
+        If there are no captures, two would have the same result, the folder is in use by
+        another batch, or no worker can be had.
+    CalibrationError
+        If the calibration can't be read.
+
+    Notes
+    -----
+    A script that calls this needs ``if __name__ == "__main__":`` around the call, as all that
+    start processes do.
+    """
+    chosen = _whole_captures([Path(capture) for capture in captures])
+    if sum(option is not None for option in (workers, scheduler, executor)) > 1:
+        raise BatchError("give one of workers, scheduler and executor")
+    out = Path(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BatchError(f"can't make the folder {str(out)!r}: {error.strerror}") from error
+    if executor is None:
+        local = LocalWorkers(workers if workers is not None else os.cpu_count() or 1)
+        executor = local if scheduler is None else DaskCluster(scheduler)
+    with _sole_user(out):
+        job = _job(calibration, out, options or {})
+        for capture in chosen:
+            sweep(job.store(capture))
+        running = executor.run(job, chosen)
+        outcomes = {
+            outcome.capture: outcome
+            for outcome in tracked(
+                running, progress or Silent(), "reconstructing", float(len(chosen))
+            )
+        }
+        report = BatchReport(tuple(outcomes[capture] for capture in chosen))
+        with staged(out / REPORT, overwrite=True) as partial:
+            partial.write_text(json.dumps(report.to_dict(), indent=2), encoding="utf-8")
+    return report
+
+
+def _whole_captures(paths: list[Path]) -> list[str]:
+    """Absolute paths of the captures; later segments of a recording go with its first."""
+    given = {path.absolute() for path in paths}
+    chosen: dict[str, str] = {}
+    for path in dict.fromkeys(path.absolute() for path in paths):
+        stem, _, number = path.stem.rpartition(".")
+        first = path.with_name(stem + path.suffix)
+        if len(number) == DIGITS and number.isdecimal() and first in given:
+            continue
+        if path.stem in chosen:
+            raise BatchError(
+                f"{chosen[path.stem]} and {path} would both become {path.stem}.zarr: rename one "
+                "or use two folders for the results"
+            )
+        chosen[path.stem] = str(path)
+    if not chosen:
+        raise BatchError("no captures: name at least one recording")
+    return list(chosen.values())
+
+
+def _job(calibration: Calibration | str | Path, out: Path, options: Mapping[str, Any]) -> Job:
+    if isinstance(calibration, Calibration):
+        path = out / CALIBRATION
+        calibration.save(path, overwrite=True)
+    else:
+        path = Path(calibration)
+        calibration = Calibration.load(path)
+    return Job(
+        calibration=str(path.absolute()),
+        calibration_digest=calibration_origin(calibration)["digest"],
+        out=str(out.absolute()),
+        options=dict(options),
+        software=version("hueflight"),
+    )
+
+
+@contextmanager
+def _sole_user(out: Path) -> Iterator[None]:
+    """Keep other batches out of the folder; the lock goes with the process that holds it."""
+    try:
+        import fcntl
+    except ImportError:  # no such locks on Windows: there one has to take care
+        yield
+        return
+    with (out / LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BatchError(
+                f"another batch is writing to {str(out)!r}: wait for it or use another folder"
+            ) from None
+        yield

@@ -1,0 +1,64 @@
+"""An existing Dask cluster, by the address of its scheduler."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from hueflight.batch.job import Job, Outcome, work
+from hueflight.errors import BatchError
+from hueflight.export.staging import optional
+
+CONNECT_SECONDS = 15
+
+
+@dataclass(frozen=True)
+class DaskCluster:
+    """Runs a job on a `dask.distributed` cluster, one task per capture.
+
+    The workers need this software, and must see captures, calibration and results under the
+    same paths.
+
+    Attributes
+    ----------
+    address : of the scheduler, such as ``tcp://head-node:8786``.
+    """
+
+    address: str
+
+    def run(self, job: Job, captures: Sequence[str], /) -> Iterator[Outcome]:
+        """Outcomes in the order in which they come.
+
+        The scheduler begins a capture again when a worker dies on it, as often as its setting
+        `distributed.scheduler.allowed-failures` says (three times by default).
+
+        Raises
+        ------
+        BatchError
+            If there is no scheduler, or it goes away.
+        """
+        distributed = optional("distributed", extra="batch")
+        try:
+            client = distributed.Client(self.address, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise BatchError(
+                f"no Dask scheduler at {self.address!r}: {error}. Start one with `dask scheduler` "
+                "and workers with `dask worker ADDRESS`"
+            ) from error
+        with client, client.as_current():
+            # not pure: what an earlier task has done may have gone from the disk since
+            futures = dict(
+                zip(client.map(work, captures, job=job, pure=False), captures, strict=True)
+            )
+            for future in distributed.as_completed(futures):
+                capture = futures[future]
+                failure = future.exception()
+                if failure is None:
+                    yield future.result()
+                else:  # KilledWorker, or the scheduler lost it
+                    yield Outcome(
+                        capture=capture,
+                        store=str(job.store(capture)),
+                        state="failed",
+                        error=f"{type(failure).__name__}: {failure}",
+                    )

@@ -62,7 +62,8 @@ SECTIONS = (
     Section(
         "spectra", "Fig. 5 · Spectra of regions",
         "Mean over each region with its standard error, beside the simulated truth. Equation (2) "
-        "subtracts no background, so dark bands read too high, as the paper found.",
+        "subtracts neither background nor the feet of neighbouring pulses, so dark bands read too "
+        "high, as the paper found, and the weak amber LED most of all.",
         figures.spectra_of_regions,
     ),
     Section(

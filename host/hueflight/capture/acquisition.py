@@ -35,6 +35,7 @@ SILENCE_S = 2.0  #: without a byte in a run, ask the camera whether it is still 
 KEEP_ALIVE_S = 0.3
 DRAIN_S = 2.0  #: longest time to read what an earlier run has left in the stream
 GAPS_KEPT = 100
+FORGOTTEN = "the camera has forgotten its run: it lost power or was reset"
 
 
 @dataclass(frozen=True)
@@ -242,6 +243,8 @@ class Acquisition:
             return False
         try:
             self._settle_orphan(rig)
+            if rig.camera.running():
+                rig.camera.stop(abort=True)
             rig.camera.configure(self.instrument)
         except DeviceError as error:
             rig.close()
@@ -258,6 +261,8 @@ class Acquisition:
 
     def _resume(self, run: Run) -> None:
         """Go on with a run that the loss of the rig has interrupted."""
+        for block in run.finish():
+            self._hand_out(block, time.monotonic(), run)
         run.ledger.disk = 0  # booked when the recording is closed
         self._before += run.close_books()
         self._photons_before += run.photons
@@ -272,13 +277,20 @@ class Acquisition:
         lost: int | None = None
         if run is not None and rig.camera.board.read("capture") == run.label:
             lost = run.settle_from_registers(rig.camera, away=True)
+        self._end_gap(run, lost)
+
+    def _end_gap(self, run: Run | None, lost: int | None) -> None:
+        if self._gap_since is None:
+            return
         since, started, reason = self._gap_since
         self._gap_since = None
-        gap = Gap(started, _utc(), time.monotonic() - since, reason, lost)
+        self._add_gap(Gap(started, _utc(), time.monotonic() - since, reason, lost), run)
+
+    def _add_gap(self, gap: Gap, run: Run | None) -> None:
         self._gaps.append(gap)
         if run is not None:
             run.gaps.append(gap)
-        self._on_event("gap", {"seconds": round(gap.seconds, 3), "frames_lost": lost})
+        self._on_event("gap", {"seconds": round(gap.seconds, 3), "frames_lost": gap.frames_lost})
 
     def _begin_next(self) -> bool:
         if not self._plans.empty():
@@ -369,10 +381,7 @@ class Acquisition:
         if camera.board.read("capture") == run.label:
             run.ended = True  # it ended by itself, and the event that says so was lost
         else:
-            raise DeviceGoneError(
-                f"{camera.identity.place}: the camera has forgotten its run: it lost power or was "
-                "reset"
-            )
+            raise DeviceGoneError(f"{camera.identity.place}: {FORGOTTEN}")
 
     def _keep_alive(self, now: float) -> None:
         if self._rig is not None and now - self._kept_alive_s > KEEP_ALIVE_S:
@@ -384,7 +393,9 @@ class Acquisition:
         run, rig = self._run, self._rig
         assert run is not None
         self._end_asked = False
-        if rig is not None:
+        if rig is None:
+            self._end_gap(run, None)  # what the camera has done since will never be known
+        else:
             if not run.ended:
                 rig.camera.stop()
             quiet_since = time.monotonic()
@@ -395,7 +406,11 @@ class Acquisition:
                     self._take(run, piece, quiet_since)
                 elif run.ended:
                     break
-            run.settle_from_registers(rig.camera, away=False)
+            if rig.camera.board.read("capture") == run.label:
+                run.settle_from_registers(rig.camera, away=False)
+            else:
+                seconds = time.monotonic() - max(run.last_data_s, run.began_s)
+                self._add_gap(Gap(_utc(), _utc(), seconds, FORGOTTEN, None), run)
         for block in run.finish():
             self._hand_out(block, time.monotonic(), run)
         self._conclude(run, failure)

@@ -133,7 +133,7 @@ class ControlEngine(wiring.Component):
                     m.d.sync += [self.begin.eq(1), state.eq(_State.CHECKSUM)]
 
             with m.Case(_State.CHECKSUM):
-                with m.If(dwell == 1):
+                with m.If(dwell == RequestBuffer.latency):
                     m.d.comb += [crc.valid.eq(1), crc.data.eq(buffer.byte)]
                     m.d.sync += [buffer.index.eq(buffer.index + 1), dwell.eq(0)]
                     with m.If(buffer.index < HEADER_BYTES):
@@ -190,7 +190,7 @@ class ControlEngine(wiring.Component):
                     self._examine(m, result, writing)
 
             with m.Case(_State.GATHER):
-                with m.If(dwell == 1):
+                with m.If(dwell == RequestBuffer.latency):
                     m.d.sync += [
                         word.eq(Cat(word[8:], buffer.byte)),
                         buffer.index.eq(buffer.index + 1),

@@ -55,7 +55,7 @@ class RegisterFile(wiring.Component):
         RW registers that the design stores itself, from `written`; they are read back here.
     windows : iterable of str
         One-dimensional RW registers at addresses above all others that the design stores *and*
-        reads back: for the read it gives, NAME ``_word``, one clock after `address`.
+        reads back: for the read it gives, NAME ``_word``, two clocks after `address`.
     lock_of : callable, optional
         Register and indices to the number of the lock that refuses writes to it, or None.
     locks : int
@@ -64,20 +64,20 @@ class RegisterFile(wiring.Component):
     Members
     -------
     address : In(17)
-        What the three below look up, two clocks later.
+        What the four below look up, three clocks later.
     exists, writable, refused : Out(1)
     word : Out(32)
         What a read gives.
     reading : In(1)
         The word is taken for a read: holds the high words of 64-bit values.
     write : In(1), write_word : In(32)
-        Writes to `address`, which must have stood for two clocks.
+        Writes to `address`, which must have stood for three clocks.
     locked : In(locks)
     written : Out(1), written_address : Out(16), written_word : Out(32)
         Every write, one clock later.
     """
 
-    latency = 2
+    latency = 3
 
     def __init__(
         self,
@@ -210,8 +210,12 @@ class RegisterFile(wiring.Component):
         load = store.read_port(domain="sync")
         save = store.write_port(domain="sync")
         low = range(self.depth.bit_length() - 1)
+        inside_before = Signal()
         inside = Signal()
-        m.d.sync += inside.eq(self.address[len(low) :] == 0)
+        m.d.sync += [
+            inside_before.eq(self.address[len(low) :] == 0),
+            inside.eq(inside_before),
+        ]
         m.d.comb += [
             attribute_port.en.eq(1),
             attribute_port.addr.eq(self.address),
@@ -219,8 +223,10 @@ class RegisterFile(wiring.Component):
             load.addr.eq(self.address),
         ]
 
-        # 2: attributes and word
-        attributes = attribute_port.data
+        # 2: out of the memories, whose outputs are slow; 3: attributes and word
+        attributes = Signal(layout)
+        kept = Signal(WORD_BITS)
+        m.d.sync += [attributes.eq(attribute_port.data), kept.eq(load.data)]
         lock = Signal(self.locks + 1)
         mask = Signal(WORD_BITS)
         live = self._live_word(m)
@@ -230,13 +236,14 @@ class RegisterFile(wiring.Component):
             self.writable.eq(inside & attributes.writable),
             self.refused.eq(inside & (lock >> attributes.lock)[0]),
             mask.eq(Array(Const(value, WORD_BITS) for value in masks)[attributes.mask]),
-            self.word.eq(Mux(attributes.kept, load.data, live)),
+            self.word.eq(Mux(attributes.kept, kept, live)),
         ]
         self._windows(m)
 
         # writes: masked, kept for reading back, and announced
+        # (what does not exist or can't be written never comes here)
         keep = Signal()
-        m.d.sync += keep.eq(inside & attributes.kept & attributes.writable)
+        m.d.sync += keep.eq(inside & attributes.kept)
         m.d.sync += [
             self.written.eq(self.write),
             self.written_address.eq(self.address),
@@ -251,7 +258,7 @@ class RegisterFile(wiring.Component):
         return m
 
     def _live_word(self, m: Module) -> Signal:
-        """Return what the hardware says at the address, one clock later."""
+        """Return what the hardware says at the address, two clocks later."""
         live = Signal(WORD_BITS)
         words: dict[int, Value] = {}
         for register in self.registers:
@@ -265,11 +272,13 @@ class RegisterFile(wiring.Component):
                 words[address] = element[:WORD_BITS]
                 if register.words == 2:
                     words[address + 1] = self._held(m, address, element[WORD_BITS:])
-        m.d.sync += live.eq(0)
-        with m.Switch(self.address):
-            for address, word in words.items():
-                with m.Case(address):
-                    m.d.sync += live.eq(word)
+        # one bit for each address, then one wide or: shallower than a multiplexer
+        hits = Signal(len(words))
+        low = (self.depth - 1).bit_length()
+        m.d.sync += [
+            *(hits[i].eq(self.address[:low] == address) for i, address in enumerate(words)),
+            live.eq(_any_of(Mux(hits[i], word, 0) for i, word in enumerate(words.values()))),
+        ]
         return live
 
     def _held(self, m: Module, address: int, high: Value) -> Signal:
@@ -279,7 +288,7 @@ class RegisterFile(wiring.Component):
         before = [Signal(WORD_BITS, name=f"before{i}") for i in range(2)]
         m.d.sync += [before[0].eq(high), before[1].eq(before[0])]
         with m.If(self.reading & (self.address == address)):
-            m.d.sync += held.eq(before[1])
+            m.d.sync += held.eq(before[-1])
         return held
 
     def _windows(self, m: Module) -> None:
@@ -292,8 +301,12 @@ class RegisterFile(wiring.Component):
                     f"window {name!r} at {first:#06x}: must have stride 1 and begin at or above "
                     f"{self.depth:#06x}"
                 )
+            hit_before = Signal(name=f"{name}_hit_before")
             hit = Signal(name=f"{name}_hit")
-            m.d.sync += hit.eq((self.address >= first) & (self.address < first + count))
+            m.d.sync += [
+                hit_before.eq((self.address >= first) & (self.address < first + count)),
+                hit.eq(hit_before),
+            ]
             with m.If(hit):
                 m.d.sync += [
                     self.exists.eq(1),
@@ -350,3 +363,12 @@ def _reset(register: Register) -> object:
 
 def _mask(register: Register, word: int) -> int:
     return register.mask >> WORD_BITS * word & (1 << WORD_BITS) - 1
+
+
+def _any_of(words: Iterable[Value]) -> Value:
+    """Return the or of all words, as a balanced tree."""
+    level = list(words)
+    while len(level) > 1:
+        pairs = [a | b for a, b in zip(level[::2], level[1::2], strict=False)]
+        level = pairs + level[len(level) & ~1 :]
+    return level[0] if level else Const(0, WORD_BITS)

@@ -29,12 +29,14 @@ class RequestBuffer(wiring.Component):
     index : In
         Byte to look up.
     byte : Out(8)
-        One clock later.
+        Two clocks later.
     done : In(1)
         The request may be overwritten.
     dropped : Out(1)
         High for one clock.
     """
+
+    latency = 2
 
     def __init__(self) -> None:
         super().__init__(
@@ -69,11 +71,10 @@ class RequestBuffer(wiring.Component):
             save.en.eq(self.stream.valid & ~beat.end & ~full),
             load.en.eq(1),
             load.addr.eq(Cat(self.index, working)),
-            self.byte.eq(load.data),
             self.full.eq(taken.bit_select(working, 1)),
             self.length.eq(Mux(working, lengths[1], lengths[0])),
         ]
-        m.d.sync += self.dropped.eq(0)
+        m.d.sync += [self.byte.eq(load.data), self.dropped.eq(0)]
         with m.If(self.stream.valid):
             with m.If(beat.end):
                 m.d.sync += [count.eq(0), spoilt.eq(0)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from amaranth.hdl import Cat, Const, Module, Mux, Signal
+from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out, connect, flipped
@@ -18,6 +18,7 @@ from ..crossing import Crossing
 from ..link.serial import SerialLink
 from ..pulse.config import ConfigError, PulseConfig
 from ..pulse.generator import COUNTERS, LIVE_LAYOUT, STROBE_LAYOUT, PulseGenerator
+from ..pulse.schedule_store import ScheduleStore
 from ..safety import Safety
 from ..source import VERSION
 
@@ -82,6 +83,19 @@ class IlluminatorConfig:
         )
 
 
+def _light_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
+    """Return what triggers and LEDs see of an illuminator."""
+    lanes = config.pulse.lanes
+    return {
+        "trigger": In(lanes),
+        "frame_sync": In(1),
+        "levels": Out(data.ArrayLayout(lanes, config.pulse.channels)),
+        "trigger_out": Out(lanes),
+        "marker": Out(8),
+        "armed": Out(1),
+    }
+
+
 class IlluminatorCore(wiring.Component):
     """Everything behind a link that carries whole messages.
 
@@ -103,17 +117,11 @@ class IlluminatorCore(wiring.Component):
 
     def __init__(self, config: IlluminatorConfig) -> None:
         self.config = config
-        pulse = config.pulse
         super().__init__(
             {
                 "requests": In(request_stream()),
                 "responses": Out(response_stream()),
-                "trigger": In(pulse.lanes),
-                "frame_sync": In(1),
-                "levels": Out(data.ArrayLayout(pulse.lanes, pulse.channels)),
-                "trigger_out": Out(pulse.lanes),
-                "marker": Out(8),
-                "armed": Out(1),
+                **_light_members(config),
             }
         )
 
@@ -122,7 +130,7 @@ class IlluminatorCore(wiring.Component):
         registers = RegisterFile(
             self.config.registers(),
             constants=self._constants(),
-            unkept=_STEP_REGISTERS,
+            unkept=(*_STEP_REGISTERS, "pulse"),
             lock_of=_lock_of,
             locks=_LOCKS,
         )
@@ -220,23 +228,19 @@ class IlluminatorCore(wiring.Component):
         self, m: Module, registers: RegisterFile, generator: PulseGenerator, safety: Safety
     ) -> None:
         """Banks are read across clock domains, so what may be in use can't be written."""
-        config = self.config.pulse
+        store = ScheduleStore(self.config.pulse, registers.registers["pulse"])
+        m.submodules.schedules = store
+        m.d.comb += [
+            store.written.eq(registers.written),
+            store.address.eq(registers.written_address),
+            store.word.eq(registers.written_word),
+        ]
         for bank in range(2):
-            target = generator.banks[bank]
             m.d.comb += [
-                target.period.eq(registers.bank_period[bank].value),
-                target.enable.eq(registers.bank_enable[bank].value),
+                generator.banks[bank].period.eq(registers.bank_period[bank].value),
+                generator.banks[bank].enable.eq(registers.bank_enable[bank].value),
+                generator.banks[bank].pulses.eq(store.pulses[bank]),
             ]
-            for channel in range(config.channels):
-                for pulse in range(config.pulses):
-                    word = registers.pulse[bank][channel][pulse]
-                    too_wide = word.width[config.width_bits :].any()
-                    m.d.comb += [
-                        target.pulses[channel][pulse].delay.eq(word.delay),
-                        target.pulses[channel][pulse].width.eq(
-                            Mux(too_wide, config.widest, word.width)
-                        ),
-                    ]
         bank_now = Signal()
         running = Signal()
         m.submodules.bank = FFSynchronizer(generator.bank, bank_now)
@@ -307,10 +311,7 @@ class Illuminator(wiring.Component):
 
     def __init__(self, config: IlluminatorConfig) -> None:
         self.config = config
-        core = IlluminatorCore(config).signature.members
-        passed = {name: core[name] for name in core if name not in ("requests", "responses")}
-        super().__init__({"rx": In(1), "tx": Out(1, init=1), **passed})
-        self.passed = tuple(passed)
+        super().__init__({"rx": In(1), "tx": Out(1, init=1), **_light_members(config)})
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
@@ -321,9 +322,9 @@ class Illuminator(wiring.Component):
         connect(m, link.requests, core.requests)
         connect(m, core.responses, link.responses)
         m.d.comb += [link.rx.eq(self.rx), self.tx.eq(link.tx)]
-        for name in self.passed:
+        for name, member in _light_members(self.config).items():
             mine, inner = getattr(self, name), getattr(core, name)
-            if self.signature.members[name].flow is In:
+            if member.flow is In:
                 m.d.comb += inner.eq(mine)
             else:
                 m.d.comb += mine.eq(inner)

@@ -106,7 +106,7 @@ class PulseGenerator(wiring.Component):
         See `status_layout`; at the last snapshot.
     """
 
-    latency = ExternalTrigger.latency + Train.latency + Channel.latency
+    latency = ExternalTrigger.latency + 1 + Train.latency + Channel.latency
 
     def __init__(self, config: PulseConfig, *, memory_style: str | None = None) -> None:
         self.config = config
@@ -195,6 +195,10 @@ class PulseGenerator(wiring.Component):
             external.falling.eq(self.live.falling),
             internal.enable.eq(is_internal),
             internal.period.eq(self.live.period),
+            train.restart.eq(self.live.restart),
+            *(train.periods[bank].eq(self.banks[bank].period) for bank in range(2)),
+        ]
+        m.d.pulse += [
             train.edge.eq(
                 (external.edge & is_external)
                 | (internal.edge & is_internal)
@@ -203,8 +207,6 @@ class PulseGenerator(wiring.Component):
             train.lane.eq(
                 Mux(is_external, external.lane, 0) | Mux(is_internal, internal.lane, 0)
             ),
-            train.restart.eq(self.live.restart),
-            *(train.periods[bank].eq(self.banks[bank].period) for bank in range(2)),
         ]
         served = Signal()  # one clock after `train.served`, with the train's phase
         m.d.pulse += served.eq(train.served & is_external)

@@ -13,10 +13,9 @@ from .program import step_layout
 class _Phase(enum.Enum):
     OFF = 0
     SEEK = 1  # no step at hand: dark
-    SETTLE = 2  # a step is at hand, its counters are not
-    HOLD = 3  # dark until the first frame sync
-    LIT = 4
-    DARK = 5  # the step's idle time
+    HOLD = 2  # dark until the first frame sync
+    LIT = 3
+    DARK = 4  # the step's idle time
 
 
 class Sequencer(wiring.Component):
@@ -34,7 +33,7 @@ class Sequencer(wiring.Component):
     frame : In(1)
         A frame sync; they are at least `MIN_SPACING` clocks apart.
     served : In(1)
-        A train took over the present choice one clock ago.
+        A train takes over the present choice.
     manual_bank : In(1)
     step, ready, finished : In
         See `ProgramReader`.
@@ -81,83 +80,81 @@ class Sequencer(wiring.Component):
         mask = Signal(self.config.channels)
         marker = Signal(8)
         units = Signal(32)
-        has_idle = Signal()
-        fresh = Signal()  # the program has not fired yet
-        settling = Signal(2)
-
-        # a unit that the present choice was in force for
-        counting = Signal()
-        counted = Signal(2)
+        counting = Signal()  # trains of the present choice are units
         unit = Signal()
-        m.d.comb += [
-            counting.eq((phase == _Phase.LIT) | (phase == _Phase.DARK)),
-            unit.eq(counting & Mux(self.by_frame, self.frame, self.served & counted[1])),
+        last = self._is_last(m, units)
+        has_idle = Signal()
+        m.d.pulse += [
+            has_idle.eq(self.idle_left.any()),
+            unit.eq(counting & Mux(self.by_frame, self.frame, self.served)),
         ]
-        # `counted[1]` is `counting` as it was when the train of `served` was chosen: one clock
-        # for the choice's register, one for the train's
-        m.d.pulse += counted.eq(counting | counted << 1)
 
-        # last unit of this phase; compared over two clocks, units are farther apart
+        # a unit has passed: the next one, the step's dark part, or the next step. Units are
+        # `MIN_SPACING` clocks apart, so this may take several.
+        darken = Signal()
+        advance = Signal()
+        lit = phase == _Phase.LIT
+        m.d.pulse += [
+            darken.eq(unit & last & lit & has_idle),
+            advance.eq(unit & last & ~(lit & has_idle)),
+        ]
+        with m.If(unit):
+            m.d.pulse += units.eq(units - 1)
+        with m.If(darken):
+            m.d.pulse += [phase.eq(_Phase.DARK), units.eq(self.idle_left), self.idle_left.eq(0)]
+        with m.If(advance):
+            m.d.pulse += phase.eq(_Phase.SEEK)
+
+        fresh = Signal()  # the program has not fired yet
+        m.d.pulse += self.take.eq(0)
+        with m.Switch(phase):
+            with m.Case(_Phase.SEEK):
+                with m.If(self.take):
+                    m.d.pulse += fresh.eq(0)
+                    m.d.pulse += phase.eq(Mux(fresh & self.by_frame, _Phase.HOLD, _Phase.LIT))
+                with m.Elif(self.ready):
+                    m.d.pulse += self.take.eq(1)
+                with m.Elif(self.finished):
+                    m.d.pulse += phase.eq(_Phase.OFF)
+            with m.Case(_Phase.HOLD):
+                with m.If(self.frame):
+                    m.d.pulse += phase.eq(_Phase.LIT)
+        with m.If(self.take):
+            m.d.pulse += [
+                bank.eq(self.step.bank),
+                mask.eq(self.step.mask),
+                marker.eq(self.step.marker),
+                units.eq(self.step.count),
+                self.idle_left.eq(self.step.idle),
+                self.number.eq(self.step.number),
+            ]
+        m.d.comb += self.rewind.eq(self.start)
+        with m.If(self.start):
+            m.d.pulse += [phase.eq(_Phase.SEEK), fresh.eq(1), self.take.eq(0)]
+        with m.Elif(self.stop):
+            m.d.pulse += [phase.eq(_Phase.OFF), self.take.eq(0)]
+        with m.If(self.start | self.stop):
+            m.d.pulse += [unit.eq(0), darken.eq(0), advance.eq(0)]
+
+        # the choice
+        manual = phase == _Phase.OFF
+        m.d.pulse += [
+            self.bank.eq(Mux(manual, self.manual_bank, bank)),
+            self.mask.eq(Mux(manual, -1, Mux(lit, mask, 0))),
+            self.marker.eq(Mux(lit, marker, 0)),
+            self.running.eq(~manual),
+            counting.eq(lit | (phase == _Phase.DARK)),
+        ]
+        m.d.comb += self.left.eq(Mux(self.running, units, 0))
+        return m
+
+    def _is_last(self, m: Module, units: Signal) -> Signal:
+        """Return whether one unit is left, two clocks late."""
         ones = Signal(8)
         last = Signal()
         m.d.pulse += [
             ones[0].eq(units[0:4] == 1),
             *(ones[i].eq(units[4 * i : 4 * i + 4] == 0) for i in range(1, 8)),
             last.eq(ones.all()),
-            has_idle.eq(self.idle_left.any()),
         ]
-
-        advance = Signal()
-        m.d.pulse += self.take.eq(0)
-        with m.If(unit):
-            m.d.pulse += units.eq(units - 1)
-            with m.If(last):
-                with m.If((phase == _Phase.LIT) & has_idle):
-                    m.d.pulse += [
-                        phase.eq(_Phase.DARK),
-                        units.eq(self.idle_left),
-                        self.idle_left.eq(0),
-                    ]
-                with m.Else():
-                    m.d.comb += advance.eq(1)
-        with m.If(advance | (phase == _Phase.SEEK)):
-            with m.If(self.ready & ~self.take):
-                m.d.pulse += [
-                    bank.eq(self.step.bank),
-                    mask.eq(self.step.mask),
-                    marker.eq(self.step.marker),
-                    units.eq(self.step.count),
-                    self.idle_left.eq(self.step.idle),
-                    self.number.eq(self.step.number),
-                    self.take.eq(1),
-                    settling.eq(3),
-                    phase.eq(Mux(advance, _Phase.LIT, _Phase.SETTLE)),
-                ]
-            with m.Elif(self.finished):
-                m.d.pulse += phase.eq(_Phase.OFF)
-            with m.Else():
-                m.d.pulse += phase.eq(_Phase.SEEK)
-        with m.Elif(phase == _Phase.SETTLE):
-            m.d.pulse += settling.eq(settling - 1)
-            with m.If(settling == 0):
-                m.d.pulse += phase.eq(Mux(fresh & self.by_frame, _Phase.HOLD, _Phase.LIT))
-                m.d.pulse += fresh.eq(0)
-        with m.Elif((phase == _Phase.HOLD) & self.frame):
-            m.d.pulse += phase.eq(_Phase.LIT)
-        m.d.comb += self.rewind.eq(self.start)
-        with m.If(self.start):
-            m.d.pulse += [phase.eq(_Phase.SEEK), fresh.eq(1), self.number.eq(0)]
-        with m.Elif(self.stop):
-            m.d.pulse += phase.eq(_Phase.OFF)
-
-        # the choice
-        manual = phase == _Phase.OFF
-        lit = phase == _Phase.LIT
-        m.d.pulse += [
-            self.bank.eq(Mux(manual, self.manual_bank, bank)),
-            self.mask.eq(Mux(manual, -1, Mux(lit, mask, 0))),
-            self.marker.eq(Mux(lit, marker, 0)),
-            self.running.eq(~manual),
-        ]
-        m.d.comb += self.left.eq(Mux(manual, 0, units))
-        return m
+        return last

@@ -167,13 +167,9 @@ def _width_layout(config: PulseConfig) -> data.StructLayout:
 
 
 def _describe(m: Module, config: PulseConfig, width: Signal) -> data.View:
-    """Split a width; its comparisons are between settings at rest and cost no time."""
+    """Split a width; what its comparisons give is at rest, and kept from being made later."""
     parts = Signal(_width_layout(config))
     coarse = width[config.lane_bits :]
-    m.d.comb += [
-        parts.fine.eq(width[: config.lane_bits]),
-        parts.coarse.eq(coarse),
-        parts.zero.eq(coarse == 0),
-        parts.small.eq(coarse[2:] == 0),
-    ]
+    m.d.comb += [parts.fine.eq(width[: config.lane_bits]), parts.coarse.eq(coarse)]
+    m.d.pulse += [parts.zero.eq(coarse == 0), parts.small.eq(coarse[2:] == 0)]
     return parts

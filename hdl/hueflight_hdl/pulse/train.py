@@ -12,7 +12,7 @@ from .config import MIN_SPACING, PERIOD_BITS, PulseConfig
 class Train(wiring.Component):
     """Serves or ignores each trigger and broadcasts the running train.
 
-    A train takes over bank, mask and marker as they are in the clock of its trigger, and runs
+    A train takes over bank, mask and marker as they are in the clock after its trigger, and runs
     for the whole clocks of the bank's period. While it runs, triggers are ignored, or begin it
     anew (`restart`); within `MIN_SPACING` clocks of a served trigger all are ignored.
 
@@ -30,8 +30,10 @@ class Train(wiring.Component):
         See `PulseConfig.train_layout`; two clocks after the edge.
     mask_out, marker_out : Out
         Of the running train.
-    served, ignored, restarted, swapped : Out(1)
+    served, ignored, restarted : Out(1)
         High for one clock, one clock after the edge.
+    swapped : Out(1)
+        The bank is not the last train's; two clocks after the edge.
     busy : Out(1)
         A train is running.
     """
@@ -69,9 +71,6 @@ class Train(wiring.Component):
         spaced = Signal(init=1)
         accept = Signal()
         lane1 = Signal(log)
-        bank1 = Signal()
-        mask1 = Signal(self.config.channels)
-        marker1 = Signal(8)
         m.d.comb += [
             accept.eq(self.edge & (~busy | (self.restart & spaced))),
             self.busy.eq(busy),
@@ -80,61 +79,50 @@ class Train(wiring.Component):
             self.served.eq(accept),
             self.ignored.eq(self.edge & ~accept),
             self.restarted.eq(accept & busy),
-            self.swapped.eq(accept & (self.bank ^ bank1)),
+            lane1.eq(self.lane),
         ]
-        with m.If(accept):
-            m.d.pulse += [
-                lane1.eq(self.lane),
-                bank1.eq(self.bank),
-                mask1.eq(self.mask),
-                marker1.eq(self.marker),
-            ]
 
-        # the train's clocks; `periods` is at rest, and so are these
-        clocks = Signal(PERIOD_BITS - log)
-        lengths = [self._clocks(m, self.periods[bank]) for bank in range(2)]
-        m.d.comb += clocks.eq(Mux(self.bank, lengths[1], lengths[0]))
-        _countdown(m, accept, clocks, busy)
+        # how long it is busy; `periods` is at rest, and so are the lengths in clocks. The count
+        # begins one clock after the edge, so that little hangs on `accept`.
+        lengths = [self._clocks_less_one(m, self.periods[bank]) for bank in range(2)]
+        count = Signal.like(lengths[0])
+        small = Signal()
         spacing = Signal(range(MIN_SPACING))
-        with m.If(accept):
-            m.d.pulse += [spaced.eq(0), spacing.eq(MIN_SPACING - 2)]
-        with m.Elif(spacing != 0):
+        m.d.pulse += [count.eq(count - 1), small.eq(count[2:] == 0)]
+        with m.If(busy & small & (count[:2] == 2) & ~self.served):
+            m.d.pulse += busy.eq(0)
+        with m.If(spacing != 0):
             m.d.pulse += spacing.eq(spacing - 1)
-        with m.Else():
+        with m.If(spacing == 1):
             m.d.pulse += spaced.eq(1)
+        with m.If(accept):
+            m.d.pulse += [busy.eq(1), spaced.eq(0)]
+        with m.If(self.served):
+            m.d.pulse += [
+                count.eq(Mux(self.bank, lengths[1], lengths[0])),
+                small.eq(0),
+                spacing.eq(MIN_SPACING - 2),
+            ]
 
         # 2: the broadcast
         time = self.train.time
-        m.d.pulse += [
-            self.train.phase.eq(lane1),
-            self.train.bank.eq(bank1),
-            self.mask_out.eq(mask1),
-            self.marker_out.eq(marker1),
-            time.eq(time + 1),
-        ]
+        m.d.pulse += [self.swapped.eq(0), time.eq(time + 1)]
         with m.If(self.served):
-            m.d.pulse += [time.eq(0), self.train.live.eq(1)]
+            m.d.pulse += [
+                time.eq(0),
+                self.train.live.eq(1),
+                self.train.phase.eq(lane1),
+                self.train.bank.eq(self.bank),
+                self.mask_out.eq(self.mask),
+                self.marker_out.eq(self.marker),
+                self.swapped.eq(self.bank ^ self.train.bank),
+            ]
         with m.Elif(time.all()):
             m.d.pulse += self.train.live.eq(0)
         return m
 
-    def _clocks(self, m: Module, period: Signal) -> Signal:
+    def _clocks_less_one(self, m: Module, period: Signal) -> Signal:
         whole = period[self.config.lane_bits :]
         clocks = Signal.like(whole)
-        m.d.comb += clocks.eq(Mux(whole < MIN_SPACING, MIN_SPACING, whole))
+        m.d.pulse += clocks.eq(Mux(whole < MIN_SPACING, MIN_SPACING, whole) - 1)
         return clocks
-
-
-def _countdown(m: Module, start: Signal, clocks: Signal, busy: Signal) -> None:
-    """Keep `busy` high for `clocks` - 1 clocks after `start`; there are four at least.
-
-    The comparison that ends it looks at two bits, and at a flag about the others that is one
-    clock old.
-    """
-    count = Signal.like(clocks)
-    small = Signal()
-    m.d.pulse += [count.eq(count - 1), small.eq(count[2:] == 0)]
-    with m.If(busy & small & (count[:2] == 2)):
-        m.d.pulse += busy.eq(0)
-    with m.If(start):
-        m.d.pulse += [busy.eq(1), count.eq(clocks), small.eq(0)]

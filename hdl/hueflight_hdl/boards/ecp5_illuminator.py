@@ -1,0 +1,71 @@
+"""The illuminator on any ECP5 board: nine channels in ticks of 1.25 ns."""
+
+from __future__ import annotations
+
+from amaranth.build import Platform
+from amaranth.hdl import Elaboratable, Module
+from amaranth.lib import io
+
+from ..designs.illuminator import IlluminatorConfig
+from ..gearing.ecp5 import Ecp5Gearing
+from ..pulse.config import PulseConfig
+from ..source import source_hash
+from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
+from .illuminator_pins import GearedPorts, add_illuminator
+
+
+CHANNELS_APART = {
+    "script_after_read": "setattr -mod -set keep_hierarchy 1 *.channel? *.channel??",
+}
+"""Keeps yosys from merging the channels' equal registers into nets that span the device."""
+
+
+def ecp5_config(pulse: PulseConfig | None = None) -> IlluminatorConfig:
+    """Return the configuration of the illuminator on ECP5.
+
+    The sequencer's memory is made of LUTs: block memory needs more than a clock of `pulse`.
+    """
+    return IlluminatorConfig(
+        pulse=pulse or PulseConfig(),
+        pulse_hz=PULSE_HZ,
+        clock_ratio=round(PULSE_HZ / SYNC_HZ),
+        source=source_hash(),
+        memory_style="distributed",
+    )
+
+
+class Ecp5Illuminator(Elaboratable):
+    """From pin to pin.
+
+    Parameters
+    ----------
+    armed : tuple of str and int
+        Resource of the lamp that says that LEDs may fire.
+    """
+
+    def __init__(self, *, armed: tuple[str, int]) -> None:
+        self.armed = armed
+        self.config = ecp5_config()
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
+        oscillator = platform.request(platform.default_clk, dir="-")
+        m.submodules.oscillator = clock = io.Buffer("i", oscillator)
+        m.submodules.clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency)
+
+        pulses = platform.request("led_pulse", 0, dir="-")
+        ports = GearedPorts(
+            trigger=platform.request("trigger", 0, dir="-"),
+            channels=tuple(pulses[i] for i in range(self.config.pulse.channels)),
+            trigger_out=platform.request("trigger_out", 0, dir="-"),
+        )
+        illuminator = add_illuminator(m, self.config, Ecp5Gearing(), ports)
+        uart = platform.request("uart", 0)
+        m.d.comb += [
+            illuminator.rx.eq(uart.rx.i),
+            uart.tx.o.eq(illuminator.tx),
+            illuminator.frame_sync.eq(platform.request("frame_sync", 0).i),
+            platform.request("marker", 0).o.eq(illuminator.marker),
+            platform.request(*self.armed).o.eq(illuminator.armed),
+        ]
+        return m

@@ -1,0 +1,77 @@
+"""The illuminator between its pins: what every board has in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from amaranth.hdl import Module, Signal, Value
+from amaranth.lib import data, wiring
+from amaranth.lib.wiring import In, Out
+
+from ..designs.illuminator import Illuminator, IlluminatorConfig
+from ..gearing.seam import Gearing
+from ..gearing.simulated import SimulatedGearing
+
+
+@dataclass(frozen=True)
+class GearedPorts:
+    """Pins that go through the gearing."""
+
+    trigger: object
+    channels: tuple[object, ...]
+    trigger_out: object
+
+
+def add_illuminator(
+    m: Module, config: IlluminatorConfig, gearing: Gearing, ports: GearedPorts
+) -> Illuminator:
+    """Add an illuminator and its gearing to a module; its plain pins are left to connect."""
+    m.submodules.illuminator = illuminator = Illuminator(config)
+    m.d.comb += illuminator.trigger.eq(gearing.add_input(m, "trigger", ports.trigger))
+    for number, port in enumerate(ports.channels):
+        gearing.add_output(m, f"channel{number}", port, Value.cast(illuminator.levels[number]))
+    gearing.add_output(m, "trigger_out", ports.trigger_out, illuminator.trigger_out)
+    return illuminator
+
+
+class IlluminatorTwin(wiring.Component):
+    """The illuminator from pin to pin with simulated gearing: a pin's ticks are a word a clock.
+
+    Parameters
+    ----------
+    config : IlluminatorConfig
+    gearing : Gearing
+        Of the board; its twin is simulated.
+    """
+
+    def __init__(self, config: IlluminatorConfig, gearing: Gearing) -> None:
+        self.config = config
+        self.gearing = SimulatedGearing(gearing)
+        lanes, channels = config.pulse.lanes, config.pulse.channels
+        super().__init__(
+            {
+                "rx": In(1),
+                "tx": Out(1, init=1),
+                "trigger": In(lanes),
+                "frame_sync": In(1),
+                "levels": Out(data.ArrayLayout(lanes, channels)),
+                "trigger_out": Out(lanes),
+                "marker": Out(8),
+                "armed": Out(1),
+            }
+        )
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        levels = [Signal(self.config.pulse.lanes) for _ in range(self.config.pulse.channels)]
+        ports = GearedPorts(self.trigger, tuple(levels), self.trigger_out)
+        illuminator = add_illuminator(m, self.config, self.gearing, ports)
+        m.d.comb += [
+            illuminator.rx.eq(self.rx),
+            illuminator.frame_sync.eq(self.frame_sync),
+            self.tx.eq(illuminator.tx),
+            *(self.levels[channel].eq(level) for channel, level in enumerate(levels)),
+            self.marker.eq(illuminator.marker),
+            self.armed.eq(illuminator.armed),
+        ]
+        return m

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,12 @@ from numpy.typing import NDArray
 from hueflight.errors import HistogramError
 from hueflight.importers import read_counts
 from hueflight.importers.arrays import read_array
+from hueflight.ingest import IngestReport
 from hueflight.instrument import Instrument
 from hueflight.recording import open_recording
+
+#: counters of an ingest report that mean that something is missing
+LOSSES = ("damaged", "missing", "dropped", "aborted", "foreign", "skipped_bytes", "clipped")
 
 
 @dataclass(frozen=True)
@@ -23,10 +28,12 @@ class Capture:
     Attributes
     ----------
     counts : (row, col, code), or (step, row, col, code) where read by step.
+    losses : what the stream of a recording lost, by place; empty if nothing was.
     """
 
     counts: NDArray[Any]
     instrument: Instrument
+    losses: Mapping[str, int] = field(default_factory=dict)
 
 
 def read_capture(
@@ -55,8 +62,14 @@ def read_capture(
                     f"{path} was recorded by instrument {recording.instrument.name!r}, not "
                     f"{instrument.name!r}: {'; '.join(apart[:3])}"
                 )
-            counts = recording.histograms_by_step() if by_step else recording.histogram()
-            return Capture(counts, recording.instrument)
+            if not by_step:
+                counts, report = recording.accumulate()
+                return Capture(counts, recording.instrument, losses(report))
+            by_number, report = recording.accumulate_by_step()
+            if not by_number:
+                raise HistogramError(f"{path} has no frames: nothing was captured")
+            stacked = np.stack(list(by_number.values()))
+            return Capture(stacked, recording.instrument, losses(report))
     if not by_step:
         return Capture(*read_counts(path, instrument))
     if not path.exists():
@@ -68,6 +81,12 @@ def read_capture(
             f"{path} has shape {stacked.shape}; one LED at a time is (step, row, col, code)"
         )
     return Capture(stacked, known)
+
+
+def losses(report: IngestReport) -> dict[str, int]:
+    """What a stream lost, by place; only what is not zero."""
+    lost = {name: getattr(report, name) for name in LOSSES}
+    return {name: count for name, count in lost.items() if count}
 
 
 def write_counts(path: Path, counts: NDArray[Any], instrument: Instrument) -> None:

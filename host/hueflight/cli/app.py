@@ -35,8 +35,10 @@ def main(words: Sequence[str] | None = None) -> None:
         calibrate,
         capture,
         demo,
+        export,
         info,
         reconstruct,
+        recover,
         serve,
         simulate,
     )

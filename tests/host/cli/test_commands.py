@@ -99,7 +99,7 @@ def test_captures_calibration_and_image(bench: Path, run) -> None:
     image = run("reconstruct", "scene.mcap", "-c", "cal.zarr", "-o", "scene.zarr", "--json")
     assert image.code == 0, image.err
     # 120 pixels of some 5 cm each: the median is good to 0.6 cm
-    assert image.json["depth_m_5_50_95_percent"][1] == pytest.approx(0.8, abs=0.03)
+    assert image.json["depth_50_percent_m"] == pytest.approx(0.8, abs=0.03)
     assert (bench / "scene.png").read_bytes().startswith(b"\x89PNG")
     stored = xr.open_zarr(bench / "scene.zarr")
     assert stored["depth"].dims == ("row", "col")
@@ -174,3 +174,56 @@ def test_help_names_every_command(run) -> None:
     assert shown.code == 0
     for command in ("demo", "simulate", "info", "calibrate", "reconstruct"):
         assert command in shown.out
+
+
+def recorded(run, name: str, frames: int = 300) -> None:
+    words = ("--instrument", "bench.toml", "--frames", str(frames), "-o", name, "--json")
+    assert run("simulate", "plane", "--distance", "0.8", *words).code == 0
+
+
+def calibrated(run) -> None:
+    words = ("--instrument", "bench.toml", "--frames", "3000", "-o", "reference.npz")
+    assert run("simulate", "--capture", "reference", *words).code == 0
+    assert run("calibrate", "reference.npz", "-d", "0.4", "-o", "cal.zarr").code == 0
+
+
+def test_what_a_recording_lost_is_said_with_its_image(bench: Path, run) -> None:
+    calibrated(run)
+    recorded(run, "scene.mcap")
+    whole = run("reconstruct", "scene.mcap", "-c", "cal.zarr", "-o", "whole.zarr", "--json")
+    assert not [key for key in whole.json if key.startswith("lost_")]
+    data = bytearray((bench / "scene.mcap").read_bytes())
+    data[len(data) // 2] ^= 0x10  # in the middle of a file there are packets
+    (bench / "scene.mcap").write_bytes(data)
+    hurt = run("reconstruct", "scene.mcap", "-c", "cal.zarr", "-o", "hurt.zarr", "--json")
+    assert hurt.json["lost_damaged"] == 1
+    assert "damaged 1" in xr.open_zarr(bench / "hurt.zarr").attrs["capture_losses"]
+    recovery = run("recover", "scene.mcap", "--json")
+    assert recovery.code == 3
+    assert recovery.json["outcome"] == "lossy"
+    assert recovery.json["frames"] == 299
+
+
+def test_a_batch_goes_on_after_a_failure_and_says_so(bench: Path, run) -> None:
+    calibrated(run)
+    for name in ("a.mcap", "b.mcap"):
+        recorded(run, name, frames=100)
+    (bench / "c.mcap").write_bytes(b"no recording")
+    words = ("reconstruct", "a.mcap", "b.mcap", "c.mcap", "-c", "cal.zarr", "-o", "all")
+    mixed = run(*words, "--workers", "1", "--json")
+    assert mixed.code == 1
+    assert (mixed.json["done"], mixed.json["failed"]) == (2, 1)
+    assert {path.name for path in (bench / "all").glob("*.zarr")} >= {"a.zarr", "b.zarr"}
+    again = run(*words, "--workers", "1", "--json")
+    assert (again.json["done"], again.json["kept"]) == (0, 2)
+
+
+def test_an_image_is_exported_by_its_ending(bench: Path, run) -> None:
+    calibrated(run)
+    recorded(run, "scene.mcap")
+    assert run("reconstruct", "scene.mcap", "-c", "cal.zarr", "-o", "scene.zarr").code == 0
+    assert run("export", "scene.zarr", "cloud.ply", "--json").json == {"files": ["cloud.ply"]}
+    assert (bench / "cloud.ply").read_bytes().startswith(b"ply\n")
+    refused = run("export", "scene.zarr", "cloud.xyz")
+    assert refused.code == 1
+    assert "cloud.xyz" in refused.err

@@ -345,13 +345,15 @@ static int count_chunks(Count *count, size_t begin, size_t end)
     size_t room = count->frames ? count->frames : 1;
     count->all = (count->pixels + count->run - 1) / count->run;
     int result = NO_MEMORY;
-    count->tile = calloc(TILE * (((size_t)1 << count->code_bits) + SPARE), sizeof(uint16_t));
+    const size_t stride = ((size_t)1 << count->code_bits) + SPARE;
+    const size_t rows = count->pixels < TILE ? count->pixels : TILE;
+    count->tile = calloc(rows * stride, sizeof(uint16_t));
     count->dense = malloc(room * sizeof *count->dense);
     count->sparse = malloc(room * sizeof *count->sparse);
     count->found = malloc(room * sizeof *count->found);
     count->sorted = malloc(room * sizeof *count->sorted);
-    for (size_t pixel = 0; count->tile && pixel < TILE; pixel++)
-        count->rows[pixel] = count->tile + pixel * (((size_t)1 << count->code_bits) + SPARE);
+    for (size_t row = 0; count->tile && row < rows; row++)
+        count->rows[row] = count->tile + row * stride;
     if (count->tile && count->dense && count->sparse && count->found && count->sorted) {
         result = OK;
         for (size_t chunk = begin; result == OK && chunk < end; chunk++)

@@ -92,6 +92,16 @@ static uint32_t crc_more(uint32_t crc, const uint8_t *p, size_t size)
 
 static uint32_t crc32c(const uint8_t *p, size_t size) { return ~crc_more(~0u, p, size); }
 
+/* Whether a CRC that has come to `crc` ends, with the bytes at p, in the value stored there. */
+static int crc_holds(uint32_t crc, const uint8_t *p, size_t size)
+{
+    int holds = load32(p + size) == ~crc_more(crc, p, size);
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* a fuzzer can't guess CRCs */
+    holds = 1;
+#endif
+    return holds;
+}
+
 /* Call once, before anything else. */
 static void start_kernels(void)
 {

@@ -147,7 +147,7 @@ static Verdict walk_frame(Scan *scan, const uint8_t *p, size_t left, int ours, s
     uint32_t end = load32(p + at);
     *size = at + FRAME_TRAILER;
     if (at % 8 || (end >> 2 & 0x3fff) > 1 || end >> 16 != found || load32(p + at + 4) != hits
-        || load32(p + at + 8) != *size / 4 || load32(p + at + 12) != ~crc_more(crc, p + summed, *size - 4 - summed))
+        || load32(p + at + 8) != *size / 4 || !crc_holds(crc, p + summed, *size - 4 - summed))
         return BAD;
     if (ours)
         for (; next < count; next++)
@@ -169,7 +169,7 @@ static Verdict check_other(Scan *scan, const uint8_t *p, size_t left, size_t hea
     for (size_t i = length; i < padded; i++)
         if (p[header + i])
             return BAD;
-    return load32(p + *size - 8) == *size / 4 && load32(p + *size - 4) == crc32c(p, *size - 4)
+    return load32(p + *size - 8) == *size / 4 && crc_holds(~0u, p, *size - 4)
         ? GOOD : BAD;
 }
 

@@ -1,0 +1,106 @@
+"""Fuzz the compiled kernels with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer.
+
+    python3 tools/dev.py run python tools/fuzz/kernels.py --seconds 60
+
+Needs clang. New inputs go to build/fuzz/kernels; ``--minimize`` keeps in tools/fuzz/corpus those
+that between them reach everything that any input reaches. A finding ends the run with its input
+and a trace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+
+from hueflight_protocol import Event, PacketHeader, encode_event, encode_frame
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SOURCE = Path(__file__).with_suffix(".c")
+HEADERS = ROOT / "host" / "hueflight" / "ingest"
+CORPUS = SOURCE.parent / "corpus"
+BUILD = ROOT / "build" / "fuzz"
+LONGEST = 4096  # bytes of an input
+# as in kernels.c
+GEOMETRIES = [(1, 1, 1), (3, 5, 9), (8, 8, 9), (1, 2, 13), (10, 13, 8), (5, 64, 7), (32, 32, 4)]
+GEOMETRIES += [(256, 8, 2)]
+OPTIONS = (1, 2 | 4, 8, 1 | 2 | 4 | 8)
+
+
+def build() -> Path:
+    """Compile the fuzzer."""
+    if shutil.which("clang") is None:
+        raise SystemExit("libFuzzer comes with clang, which is not here: install clang")
+    BUILD.mkdir(parents=True, exist_ok=True)
+    program = BUILD / "fuzz-kernels"
+    sanitizers = ["-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all"]
+    unsafe = "-DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION"  # lets every CRC pass
+    command = ["clang", "-g", "-O2", unsafe, *sanitizers, f"-I{HEADERS}", str(SOURCE)]
+    subprocess.run([*command, "-o", str(program)], check=True)
+    return program
+
+
+def write_seeds(folder: Path) -> None:
+    """Streams of whole packets, from which the fuzzer starts."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(0)
+    number = 0
+    for which, (rows, cols, code_bits) in enumerate(GEOMETRIES):
+        for occupancy in (0.0, 0.1, 0.6, 1.0):
+            for run in (8, 64, 512):
+                packets = [encode_event(Event(PacketHeader(sequence=9), code=5))]
+                for frame in range(3):
+                    codes = rng.integers(1, 1 << code_bits, (rows, cols), endpoint=code_bits == 1)
+                    codes[rng.random((rows, cols)) >= occupancy] = 0
+                    codes &= (1 << code_bits) - 1
+                    abort_at = 0 if frame == 1 and run == 8 else None
+                    packets.append(
+                        encode_frame(
+                            codes,
+                            sequence=frame,
+                            frame=frame,
+                            timestamp=frame,
+                            code_bits=code_bits,
+                            run=run,
+                            abort_at=abort_at,
+                        )
+                    )
+                head = bytes([which, OPTIONS[number % 4], number % 7, number % 4])
+                data = head + b"".join(packets)
+                if len(data) <= LONGEST:
+                    (folder / f"seed-{number:02}").write_bytes(data)
+                    number += 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=int, default=60, help="how long to look for more")
+    parser.add_argument("--minimize", action="store_true", help="keep what matters in the corpus")
+    arguments = parser.parse_args()
+    program = build()
+    found = BUILD / "kernels"
+    write_seeds(found)
+    CORPUS.mkdir(exist_ok=True)
+    limits = [f"-max_len={LONGEST}", "-use_value_profile=1", "-print_final_stats=1"]
+    if arguments.seconds:
+        time = f"-max_total_time={arguments.seconds}"
+        artifacts = f"-artifact_prefix={BUILD}/"
+        command = [program, time, *limits, artifacts, found, CORPUS]
+        subprocess.run([str(word) for word in command], check=True)
+    if arguments.minimize:
+        fresh = BUILD / "minimal"
+        shutil.rmtree(fresh, ignore_errors=True)
+        fresh.mkdir()
+        command = [program, "-merge=1", limits[0], fresh, found, CORPUS]
+        subprocess.run([str(word) for word in command], check=True)
+        shutil.rmtree(CORPUS)
+        shutil.copytree(fresh, CORPUS)
+        size = sum(file.stat().st_size for file in CORPUS.iterdir())
+        print(f"{len(list(CORPUS.iterdir()))} inputs of {size} bytes kept in {CORPUS}")
+
+
+if __name__ == "__main__":
+    main()

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from hueflight.errors import ExportError
+from hueflight.export.seal import SEAL
 
 LITTLE_BYTES = 1 << 20  #: a disk with less room than this counts as full
 PARTIAL_SUFFIX = ".partial"  #: ends the names of folders that hold unfinished work
@@ -99,7 +100,12 @@ def _explained(target: Path, error: OSError) -> ExportError:
 
 
 def _sync(path: Path, *, entries: bool = True) -> None:
-    """Wait until the disk has it, so that a rename never overtakes its content."""
+    """Wait until the disk has it, so that a rename never overtakes its content.
+
+    Sealed folders don't wait: should the power fail, their checksums tell.
+    """
+    if (path / SEAL).exists():
+        return
     if path.is_dir() and entries:
         for entry in path.iterdir():
             _sync(entry)

@@ -24,6 +24,7 @@ from hueflight.errors import CalibrationError
 from hueflight.histograms import check_histogram, frames_per_pixel
 from hueflight.instrument import Instrument
 from hueflight.reconstruction.pileup import lost_photons_factor, photons_per_period, unshadowed
+from hueflight.reconstruction.resolution import resolved
 from hueflight.timebins import TimeBins
 
 
@@ -92,7 +93,10 @@ def calibrate(
     arrived = _arrived(light, exposures, instrument)
     circular = bins.period_ns is not None
     gain, flat_field = _gains(arrived, windows, delay, usable, exposures, known, circular=circular)
-    captures = None if bands is None else _band_captures(bands, instrument, bins)
+    arrived = resolved(arrived, instrument, bins)
+    captures = None
+    if bands is not None:
+        captures = resolved(_band_captures(bands, instrument, bins), instrument, bins)
 
     def waveforms(delay_ns: NDArray[np.float64]) -> Templates:
         if captures is None:

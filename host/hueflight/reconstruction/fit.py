@@ -100,7 +100,7 @@ class _State:
 
 def fit(
     light: NDArray[np.floating],
-    offsets_ns: NDArray[np.floating],
+    offsets_ns: NDArray[np.float64],
     plan: Plan,
     switches: Switches = DEFAULT,
 ) -> Fit:

@@ -21,6 +21,7 @@ from hueflight.reconstruction.pileup import (
 )
 from hueflight.reconstruction.plan import Plan, View, make_plan
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.resolution import resolved
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 
@@ -106,6 +107,7 @@ def estimate(
     if pileup_correction and frames is not None:
         rate = photons_per_period(photons[chosen], frames[chosen], calibration.instrument)
         seen = unshadowed(seen, rate)
+    seen = resolved(seen, calibration.instrument, calibration.bins)
     found = fit_pixels(seen, calibration.pixel_delay_ns[chosen], plan, switches)
 
     def plane(values: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ TILE_PIXELS = 8192  #: pixels at once: bounds the memory that the definition tak
 
 def fit_pixels(
     light: NDArray[np.floating],
-    offsets_ns: NDArray[np.floating],
+    offsets_ns: NDArray[np.float64],
     plan: Plan,
     switches: Switches = DEFAULT,
 ) -> Fit:

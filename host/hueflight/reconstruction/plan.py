@@ -58,7 +58,7 @@ class Level:
     shares: NDArray[np.float32]
     slopes: NDArray[np.float32]
 
-    def summed(self, counts: NDArray[np.floating]) -> NDArray[np.floating]:
+    def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Counts (pixel, finer bin) in this level's bins."""
         return summed(counts, self.starts)
 
@@ -97,7 +97,7 @@ class Coarse:
     zone_shares: NDArray[np.float32]
     separation: int
 
-    def summed(self, counts: NDArray[np.floating]) -> NDArray[np.floating]:
+    def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Counts (pixel, fine bin) in the bins of the search."""
         return summed(counts, self.starts)
 
@@ -170,7 +170,7 @@ def make_plan(
     )
 
 
-def summed(counts: NDArray[np.floating], starts: NDArray[np.intp]) -> NDArray[np.floating]:
+def summed(counts: NDArray[np.float64], starts: NDArray[np.intp]) -> NDArray[np.float64]:
     """Sums (pixel, group) of counts (pixel, bin) between successive starts."""
     if starts.size == counts.shape[-1]:
         return counts
@@ -214,7 +214,7 @@ def _level(
     phase_ns: float,
 ) -> Level:
     first, last = floor(range_ns[0] / phase_ns) - 1, ceil(range_ns[1] / phase_ns) + 1
-    delays_ns = np.arange(first, last + 1) * phase_ns
+    delays_ns = np.arange(first, last + 1) * np.float64(phase_ns)
     shares = _shares(views, edges, delays_ns)
     whole = sum(view.weight for view in views)
     slopes = np.concatenate(
@@ -248,7 +248,7 @@ def _coarse(
 ) -> Coarse:
     widths = _widths(views, edges)
     first, last = ceil(range_ns[0] / step_ns - 0.5), floor(range_ns[1] / step_ns + 0.5)
-    lags_ns = np.arange(first, last + 1) * step_ns
+    lags_ns = np.arange(first, last + 1) * np.float64(step_ns)
     shares = _shares(views, edges, lags_ns)
     brightest = (shares * white[:, None]).argmax(axis=1)
     own = brightest[:, None, :] == np.arange(len(white))[:, None]

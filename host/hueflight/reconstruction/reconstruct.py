@@ -59,13 +59,14 @@ def reconstruct(
     counts = check_histogram(histogram, instrument)
     exposures = frames_per_pixel(counts, instrument, frames)
     light = calibration.bins.in_time_order(counts).astype(np.float32, copy=False)
-    corrections = {
-        "range_correction": range_correction,
-        "pileup_correction": pileup_correction,
-    }
     if method == "joint":
         estimates = joint.estimate(
-            light, exposures, calibration, depth_range=depth_range, **corrections
+            light,
+            exposures,
+            calibration,
+            range_correction=range_correction,
+            pileup_correction=pileup_correction,
+            depth_range=depth_range,
         )
     elif depth_range is not None:
         raise HueflightError(
@@ -73,6 +74,12 @@ def reconstruct(
             "only; use method='joint'"
         )
     else:
-        estimates = paper.estimate(light, exposures, calibration, **corrections)
+        estimates = paper.estimate(
+            light,
+            exposures,
+            calibration,
+            range_correction=range_correction,
+            pileup_correction=pileup_correction,
+        )
     estimates.quality[counters_full(counts)] |= int(Quality.SATURATED)
     return as_image(estimates, calibration, method=method)

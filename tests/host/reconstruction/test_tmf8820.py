@@ -43,7 +43,7 @@ def depths(captures, instrument, method: str) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize(("method", "limit_cm"), [("paper", 0.15)])
+@pytest.mark.parametrize(("method", "limit_cm"), [("paper", 0.15), ("joint", 0.13)])
 def test_every_zone_follows_the_robot(captures, instrument, method, limit_cm):
     truth = np.array([c["dist_to_plane"] for c in captures])
     found = residual_cm(truth, depths(captures, instrument, method))

@@ -1,0 +1,72 @@
+"""A daemon's application over a camera in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'daemon' is not installed")
+pytest.importorskip("httpx2", reason="httpx2 is not installed (extra dev)")
+
+from starlette.testclient import TestClient
+
+import hueflight as hf
+from hueflight.daemon.app import make_app
+from hueflight.daemon.config import DaemonConfig, ServerConfig
+from hueflight.devices import Camera, CameraModel, FrameBank, Rig
+from hueflight.devices.model_ports import ModelStream, ModelTransport
+
+PORT = 8470
+BASE = f"http://127.0.0.1:{PORT}"
+Small = Callable[..., hf.Instrument]
+
+
+class Lights:
+    name = "test lights"
+
+    def prepare(self, kind: str, frames: int, /) -> None:
+        pass
+
+    def keep_alive(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="session")
+def instrument(small: Small) -> hf.Instrument:
+    return small(rows=6, cols=8, frame_rate_hz=2000.0, exposure_ms=0.2)
+
+
+@pytest.fixture
+def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]:
+    """Function that opens a daemon and gives a client of it."""
+
+    @contextmanager
+    def opened(*, token: str | None = None, **server: Any) -> Iterator[TestClient]:
+        bank = FrameBank.random(instrument.sensor, occupancy=0.3, frames=16)
+        model = CameraModel(instrument.sensor, bank)
+
+        def connect() -> Rig:
+            camera = Camera(
+                ModelTransport(model.handle), lambda size: ModelStream(model, size), simulated=True
+            )
+            return Rig(camera, Lights())
+
+        config = DaemonConfig(data=str(tmp_path / "data"), server=ServerConfig(**server))
+        app = make_app(config, connect, instrument, port=PORT, token=token)
+        with TestClient(app, base_url=BASE, raise_server_exceptions=False) as client:
+            yield client
+
+    return opened
+
+
+@pytest.fixture
+def client(open_daemon: Callable[..., Any]) -> Iterator[TestClient]:
+    with open_daemon(requests_per_s=1000, burst=1000) as made:
+        yield made

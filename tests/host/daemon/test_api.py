@@ -1,0 +1,236 @@
+"""The API: what it does, and whom it does not let in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.websockets import WebSocketDisconnect
+
+from hueflight.daemon.operations import OPERATIONS
+from hueflight.recording import open_recording
+
+OpenDaemon = Callable[..., Any]
+BASE = "http://127.0.0.1:8470"
+LIVE = "ws://127.0.0.1:8470/api/live"
+WAIT_S = 20.0
+
+
+@contextmanager
+def viewing(client: TestClient, **options: Any) -> Iterator[WebSocketTestSession]:
+    """An open live socket; the test client cancels the application when it is closed."""
+    with suppress(CancelledError), client.websocket_connect(LIVE, **options) as socket:
+        yield socket
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {WAIT_S} s until {what}"
+        time.sleep(0.02)
+
+
+def status(client: TestClient) -> dict[str, Any]:
+    return client.get("/api/status").json()
+
+
+def test_live_recording_and_the_end(client: TestClient, tmp_path: Path) -> None:
+    until(lambda: status(client)["kind"] == "live", "the live run is on")
+    assert status(client)["simulated"] is True
+    answer = client.post("/api/recordings", json={"name": "one", "frames": 300})
+    assert answer.json() == {"name": "one"}
+    until(lambda: bool(status(client)["recording"]["last"]), "the recording is finished")
+    last = status(client)["recording"]["last"]
+    assert (last["recorded_frames"], last["failure"]) == (300, "")
+    assert sum(last["lost"].values()) == 0
+    with open_recording(tmp_path / "data/recordings/one.mcap") as recording:
+        assert (recording.histogram().sum(axis=-1) <= 300).all()
+    listed = client.get("/api/recordings").json()["recordings"]
+    assert [entry["name"] for entry in listed] == ["one"]
+    assert client.post("/api/stop").status_code == 200
+    until(lambda: status(client)["state"] == "idle", "the live run has ended")
+    found = status(client)
+    assert found["totals"]["exposed"] == found["totals"]["delivered"]
+    assert client.post("/api/start").status_code == 200
+    until(lambda: status(client)["state"] == "running", "it runs again")
+
+
+def test_an_open_recording_is_stopped_by_hand(client: TestClient) -> None:
+    assert client.post("/api/recordings/stop").status_code == 409
+    name = client.post("/api/recordings", json={}).json()["name"]
+    again = client.post("/api/recordings", json={"name": "two"})
+    assert again.status_code == 409
+    assert f"recording '{name}' is being made" in again.json()["error"]
+    until(lambda: status(client)["run"]["frames"] > 100, "frames come")
+    assert client.post("/api/recordings/stop").json() == {"name": name}
+    until(lambda: not status(client)["recording"]["name"], "it has ended")
+    assert client.post("/api/recordings", json={"name": name}).status_code == 409
+
+
+def test_a_pixel(client: TestClient) -> None:
+    until(lambda: status(client)["picture"]["number"] > 0, "there is a picture")
+    found = client.get("/api/pixel", params={"row": 5, "col": 7}).json()
+    assert sum(found["counts"]) == found["photons"]
+    assert len(found["edges_ns"]) == len(found["counts"]) + 1
+    assert found["depth_m"] is None
+    outside = client.get("/api/pixel", params={"row": 6, "col": 0})
+    assert outside.status_code == 404
+    assert "outside the picture of 6 × 8" in outside.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("body", "status_code", "words"),
+    [
+        (b'{"name": "../../x"}', 422, "name"),
+        (b'{"name": "a/b"}', 422, "name"),
+        (b'{"frames": -1}', 422, "frames"),
+        (b'{"frames": "many"}', 422, "frames"),
+        (b'{"path": "/etc/x"}', 422, "path"),
+        (b'{"kind": "bands"}', 409, "how many for each LED"),
+        (b"{", 400, "no JSON"),
+        (b"\xff\xfe", 400, "no JSON"),
+        (b"[" * 5000, 422, "Expected `object`"),
+    ],
+)
+def test_bad_bodies_are_refused(
+    client: TestClient, body: bytes, status_code: int, words: str
+) -> None:
+    headers = {"content-type": "application/json"}
+    answer = client.post("/api/recordings", content=body, headers=headers)
+    assert answer.status_code == status_code
+    assert words in answer.json()["error"]
+    assert client.get("/api/recordings").json() == {"recordings": []}
+
+
+def test_bodies_must_be_json_and_small(client: TestClient) -> None:
+    assert client.post("/api/recordings", data={"name": "x"}).status_code == 415
+    headers = {"content-type": "application/json"}
+    large = client.post("/api/recordings", content=b" " * 100_000, headers=headers)
+    assert large.status_code == 413
+
+    def trickle() -> Any:
+        for _ in range(100):
+            yield b" " * 1000
+
+    chunked = client.post("/api/recordings", content=trickle(), headers=headers)
+    assert chunked.status_code == 413
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1:1", "127.0.0.1", "a:b:c", ""])
+def test_other_hosts_are_refused(client: TestClient, host: str) -> None:
+    """A page that points its own name at 127.0.0.1 (DNS rebinding) says so in Host."""
+    assert client.get("/api/status", headers={"host": host}).status_code == 421
+
+
+def test_other_origins_are_refused(client: TestClient) -> None:
+    for headers in (
+        {"origin": "http://evil.example"},
+        {"origin": "null"},
+        {"origin": "http://127.0.0.1:9999"},
+        {"sec-fetch-site": "cross-site"},
+        {"sec-fetch-site": "same-site"},
+    ):
+        assert client.post("/api/stop", headers=headers).status_code == 403
+        with (
+            pytest.raises(WebSocketDisconnect) as refused,
+            client.websocket_connect(LIVE, headers=headers),
+        ):
+            pass
+        assert refused.value.code == 1008
+    own = {"origin": BASE, "sec-fetch-site": "same-origin"}
+    assert client.post("/api/start", headers=own).status_code == 200
+
+
+def test_without_the_token_nothing_but_the_page(open_daemon: OpenDaemon) -> None:
+    with open_daemon(token="0123456789abcdef") as client:
+        for path in ("/api/status", "/metrics", "/openapi.json", "/api/pixel?row=0&col=0"):
+            assert client.get(path).status_code == 401
+            wrong = {"authorization": "Bearer 0123456789abcdeg"}
+            assert client.get(path, headers=wrong).status_code == 401
+        right = {"authorization": "Bearer 0123456789abcdef"}
+        assert client.get("/api/status", headers=right).status_code == 200
+        for path in ("/", "/main.js", "/health"):
+            assert client.get(path).status_code == 200
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(LIVE):
+            pass
+        protocols = ["hueflight.v1", "hueflight.token.0123456789abcdef"]
+        with viewing(client, subprotocols=protocols) as socket:
+            assert socket.accepted_subprotocol == "hueflight.v1"
+
+
+def test_floods_are_turned_away(open_daemon: OpenDaemon) -> None:
+    with open_daemon(requests_per_s=1, burst=10) as client:
+        answers = [client.get("/api/recordings").status_code for _ in range(30)]
+        assert answers[:10] == [200] * 10
+        assert answers.count(429) >= 15
+
+
+def test_viewers_are_bounded(open_daemon: OpenDaemon) -> None:
+    with (
+        open_daemon(max_viewers=1) as client,
+        viewing(client),
+        pytest.raises(WebSocketDisconnect) as refused,
+        client.websocket_connect(LIVE),
+    ):
+        pass
+    assert refused.value.code == 1013
+
+
+def test_a_viewer_gets_pictures_and_the_status(client: TestClient) -> None:
+    until(lambda: status(client)["picture"]["number"] > 0, "there is a picture")
+    with viewing(client) as socket:
+        seen = {"bytes": 0, "text": 0}
+        for _ in range(12):
+            message = socket.receive()
+            kind = "bytes" if message.get("bytes") else "text"
+            seen[kind] += 1
+            if kind == "bytes":
+                size = int.from_bytes(message["bytes"][:4], "little")
+                number = int(message["bytes"][4 : 4 + size].split(b'"number":')[1].split(b",")[0])
+                socket.send_text(f'{{"shown": {number}}}')
+        assert min(seen.values()) >= 1
+    until(lambda: status(client)["viewers"] == 0, "the viewer is gone")
+    assert status(client)["latency_s"]["p50"] > 0
+
+
+@pytest.mark.parametrize("said", ["{", "[]", '{"shown": "x"}', '{"other": 1}', ""])
+def test_a_viewer_that_talks_nonsense_is_let_go(client: TestClient, said: str) -> None:
+    with client.websocket_connect(LIVE) as socket:
+        socket.send_text(said)
+        messages = (socket.receive() for _ in range(100))
+        ended = next(message for message in messages if message["type"] == "websocket.close")
+        assert ended["code"] == 1008
+
+
+def test_every_operation_is_described(client: TestClient) -> None:
+    paths = client.get("/openapi.json").json()["paths"]
+    for operation in OPERATIONS:
+        assert paths[operation.path][operation.method.lower()]["operationId"] == operation.name
+
+
+def test_answers_forbid_what_pages_should_not_do(client: TestClient) -> None:
+    headers = client.get("/").headers
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert client.get("/api/status").headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize(
+    "path", ["/..%2f..%2fetc/passwd", "/../service.py", "/%2e%2e/app.py", "/service.py"]
+)
+def test_only_the_files_of_the_page_are_served(client: TestClient, path: str) -> None:
+    assert client.get(path).status_code == 404
+
+
+def test_metrics_and_health(client: TestClient) -> None:
+    until(lambda: status(client)["state"] == "running", "the live run is on")
+    text = client.get("/metrics").text
+    assert 'hueflight_frames_lost_total{place="usb"} 0.0' in text
+    assert 'hueflight_thread_cpu_seconds_total{thread="acquisition"}' in text
+    assert client.get("/health").json() == {"healthy": True, "state": "running", "problems": []}

@@ -11,6 +11,7 @@ import xarray as xr
 from hueflight.analysis import region_spectra
 from hueflight.errors import HueflightError
 from hueflight.export import write
+from hueflight.reconstruction.quality import Quality
 
 REGIONS = {"left": (slice(2, 12), slice(0, 5)), "right": (slice(2, 12), slice(8, 14))}
 
@@ -22,13 +23,14 @@ def test_table_read_by_pandas(image: xr.Dataset, tmp_path: Path) -> None:
     left = table[table.region == "left"]
     assert list(left.wavelength_nm) == list(image["wavelength"].values)
     assert list(left.fwhm_nm) == list(image["emission_fwhm"].values)
-    # by hand: every pixel there counts once, but the hole of the fixture
+    # by hand: every pixel there counts once, but those whose flags speak against it
     part = image.isel(row=slice(2, 12), col=slice(0, 5))
-    values = part["reflectance"].values.reshape(-1, 9).astype(float)
+    sound = (part["quality"].values & ~np.uint16(Quality.STARVED)) == 0
+    values = part["reflectance"].values[sound].astype(float)
     values = values[np.isfinite(values).all(axis=1)]
     np.testing.assert_allclose(left.reflectance, values.mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(left.reflectance_scatter, values.std(axis=0, ddof=1), rtol=1e-10)
-    assert set(left.pixels) == {np.isfinite(part["depth"].values).sum()}
+    assert set(left.pixels) == {np.isfinite(part["depth"].values[sound]).sum()}
 
 
 def test_origin_stands_above_the_table(image: xr.Dataset, tmp_path: Path) -> None:

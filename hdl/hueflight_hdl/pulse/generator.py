@@ -9,9 +9,9 @@ from amaranth.lib.wiring import In, Out
 
 from hueflight_protocol.illuminator_map import TriggerSource
 
+from ..counter import SaturatingCounter
 from .channel import Channel
 from .config import MIN_SPACING, Limits, PulseConfig
-from ..counter import SaturatingCounter
 from .phases import PhaseStatistics
 from .program import WORDS_PER_STEP, ProgramReader
 from .sequencer import Sequencer
@@ -107,6 +107,10 @@ class PulseGenerator(wiring.Component):
     """
 
     latency = ExternalTrigger.latency + 1 + Train.latency + Channel.latency
+    choice_latency = ExternalTrigger.latency + 1
+    """Clocks from a trigger's sample until its train takes over what `live` says."""
+    armed_latency = 2
+    """Clocks from `armed` to the levels."""
 
     def __init__(self, config: PulseConfig, *, memory_style: str | None = None) -> None:
         self.config = config
@@ -204,9 +208,7 @@ class PulseGenerator(wiring.Component):
                 | (internal.edge & is_internal)
                 | (self.strobes.trigger & is_software)
             ),
-            train.lane.eq(
-                Mux(is_external, external.lane, 0) | Mux(is_internal, internal.lane, 0)
-            ),
+            train.lane.eq(Mux(is_external, external.lane, 0) | Mux(is_internal, internal.lane, 0)),
         ]
         served = Signal()  # one clock after `train.served`, with the train's phase
         m.d.pulse += served.eq(train.served & is_external)

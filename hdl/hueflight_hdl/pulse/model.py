@@ -184,9 +184,10 @@ def limit(demand: np.ndarray, limits: Limits, /, *, lanes: int) -> np.ndarray:
     """
     padded = np.concatenate(([False], demand, [False])).astype(np.int8)
     change = np.diff(padded)
-    within = np.zeros_like(demand)
-    for begin, end in zip(np.flatnonzero(change > 0), np.flatnonzero(change < 0), strict=True):
-        within[begin : min(end, begin + limits.max_on_ticks)] = True
+    begins, ends = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
+    within = demand.copy()
+    for run in np.flatnonzero(ends - begins > limits.max_on_ticks):
+        within[begins[run] + limits.max_on_ticks : ends[run]] = False
     return within & np.repeat(_duty_allows(demand, limits, lanes=lanes), lanes)
 
 
@@ -197,11 +198,15 @@ def _duty_allows(demand: np.ndarray, limits: Limits, *, lanes: int) -> np.ndarra
     if divisor == 1:
         return allows
     threshold = divisor * limits.burst_ticks
+    changes = divisor * on - lanes
+    walk = np.cumsum(changes)
+    if (walk - np.minimum.accumulate(np.minimum(walk, 0))).max(initial=0) <= threshold:
+        return allows  # the level never comes near the limit, let alone the ceiling
     ceiling = 1
     while ceiling < 2 * threshold:
         ceiling *= 2
     level = 0
-    for clock, change in enumerate((divisor * on - lanes).tolist()):
+    for clock, change in enumerate(changes.tolist()):
         level = min(max(level, 0), ceiling) + change
         allows[clock] = level <= threshold
     return allows

@@ -6,8 +6,8 @@ from amaranth.hdl import Module, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out
 
-from .config import PulseConfig
 from ..counter import SaturatingCounter
+from .config import PulseConfig
 
 
 class PhaseStatistics(wiring.Component):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out
+
 from hueflight_protocol.registers import ADDRESS_BITS, WORD_BITS, Register
 
 from ..control.register_file import register_layout
@@ -53,9 +54,7 @@ class ScheduleStore(wiring.Component):
         m.d.comb += [
             kept.delay.eq(word.delay),
             kept.width.eq(
-                Mux(
-                    word.width[self.config.width_bits :].any(), self.config.widest, word.width
-                )
+                Mux(word.width[self.config.width_bits :].any(), self.config.widest, word.width)
             ),
         ]
         for bank, channel, pulse in self.register.elements():

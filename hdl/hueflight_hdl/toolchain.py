@@ -56,9 +56,7 @@ def require_tool(name: str) -> str:
         return command
     variable, names = TOOLS[name]
     remedy = "install a C++ compiler" if name == "c++" else _PACKAGES
-    raise ToolError(
-        f"{name} was not found (tried {', '.join(names)}): {remedy}, or set {variable}"
-    )
+    raise ToolError(f"{name} was not found (tried {', '.join(names)}): {remedy}, or set {variable}")
 
 
 def tool_environment() -> dict[str, str]:

@@ -6,7 +6,16 @@
 from __future__ import annotations
 
 from amaranth.build import Platform
-from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance, Module, Signal, Value
+from amaranth.hdl import (
+    ClockDomain,
+    ClockSignal,
+    Const,
+    Elaboratable,
+    Instance,
+    Module,
+    Signal,
+    Value,
+)
 
 EDGE_HZ = 400e6
 PULSE_HZ = EDGE_HZ / 2

@@ -13,7 +13,6 @@ from ..source import source_hash
 from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
 from .illuminator_pins import GearedPorts, add_illuminator
 
-
 CHANNELS_APART = {
     "script_after_read": "setattr -mod -set keep_hierarchy 1 *.channel? *.channel??",
 }

@@ -22,9 +22,7 @@ _RESOURCES = [
     Resource("trigger", 0, Pins("20+", dir="i", conn=("gpio", 0)), _PLAIN),
     Resource("trigger_out", 0, Pins("21+", dir="o", conn=("gpio", 0)), _FAST),
     Resource("frame_sync", 0, Pins("0+", dir="i", conn=("gpio", 0)), _PLAIN),
-    Resource(
-        "marker", 0, Pins("1+ 1- 2+ 2- 3+ 3- 4+ 4-", dir="o", conn=("gpio", 0)), _PLAIN
-    ),
+    Resource("marker", 0, Pins("1+ 1- 2+ 2- 3+ 3- 4+ 4-", dir="o", conn=("gpio", 0)), _PLAIN),
 ]
 
 

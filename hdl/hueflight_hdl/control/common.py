@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from amaranth.hdl import Const, Module, Signal
+
 from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
 
 from ..counter import SaturatingCounter

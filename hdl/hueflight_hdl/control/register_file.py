@@ -203,9 +203,7 @@ class RegisterFile(wiring.Component):
         m.submodules.attributes = rom = Memory(
             shape=layout, depth=self.depth, init=self._attributes(masks)
         )
-        m.submodules.store = store = Memory(
-            shape=WORD_BITS, depth=self.depth, init=self._initial()
-        )
+        m.submodules.store = store = Memory(shape=WORD_BITS, depth=self.depth, init=self._initial())
         attribute_port = rom.read_port(domain="sync")
         load = store.read_port(domain="sync")
         save = store.write_port(domain="sync")

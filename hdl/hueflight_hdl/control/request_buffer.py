@@ -92,4 +92,3 @@ class RequestBuffer(wiring.Component):
         with m.If(self.done):
             m.d.sync += [taken.bit_select(working, 1).eq(0), working.eq(~working)]
         return m
-

@@ -8,6 +8,7 @@ from amaranth.hdl import Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out, connect, flipped
+
 from hueflight_protocol.illuminator_map import Advance, Retrigger, illuminator_map
 from hueflight_protocol.registers import Register, RegisterMap
 
@@ -316,9 +317,7 @@ class Illuminator(wiring.Component):
     def elaborate(self, platform: object) -> Module:
         m = Module()
         m.submodules.core = core = IlluminatorCore(self.config)
-        m.submodules.link = link = SerialLink(
-            clock_hz=self.config.sync_hz, baud=self.config.baud
-        )
+        m.submodules.link = link = SerialLink(clock_hz=self.config.sync_hz, baud=self.config.baud)
         connect(m, link.requests, core.requests)
         connect(m, core.responses, link.responses)
         m.d.comb += [link.rx.eq(self.rx), self.tx.eq(link.tx)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from amaranth.lib import data
+
 from hueflight_protocol.illuminator_map import TriggerSource
 
 from ..pulse.config import PulseConfig
@@ -135,9 +136,7 @@ class PulseBench:
             self._set(rest, "banks", 0)
             self.simulation.run(rest, hold=SETTLE_CLOCKS)
         outputs = self.simulation.run(records)
-        levels = words_to_ticks(
-            outputs["levels"], lanes=lanes, signals=self.config.channels
-        )
+        levels = words_to_ticks(outputs["levels"], lanes=lanes, signals=self.config.channels)
         return Outcome(levels[:, latency * lanes :])
 
     @property

@@ -56,9 +56,7 @@ def random_schedule(rng: np.random.Generator, config: PulseConfig) -> Schedule:
     return Schedule(period, enable, pulses)
 
 
-def random_trigger(
-    rng: np.random.Generator, *, ticks: int, lanes: int, period: int
-) -> np.ndarray:
+def random_trigger(rng: np.random.Generator, *, ticks: int, lanes: int, period: int) -> np.ndarray:
     """Edges at any phase: regular with jitter, dense, or sparse."""
     level = np.zeros(ticks, bool)
     kind = rng.integers(4)
@@ -74,9 +72,7 @@ def random_trigger(
     return level
 
 
-def random_stimulus(
-    rng: np.random.Generator, config: PulseConfig, *, clocks: int
-) -> Stimulus:
+def random_stimulus(rng: np.random.Generator, config: PulseConfig, *, clocks: int) -> Stimulus:
     """Schedules, triggers, swaps and disarming, all at random moments."""
     banks = (random_schedule(rng, config), random_schedule(rng, config))
     ticks = clocks * config.lanes

@@ -1,0 +1,62 @@
+"""Timing of contenders against one another: in the same process, in turn, the best of many."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight_protocol import encode_frame
+
+FRAMES_PER_SECOND = 18_600
+PIXELS = 192 * 128
+REAL_TIME = FRAMES_PER_SECOND * PIXELS  # pixels per second of the paper's chip at full rate
+ROUNDS = 9
+
+
+def best_of(
+    contenders: dict[str, Callable[[], object]], *, rounds: int = ROUNDS
+) -> dict[str, float]:
+    """Seconds that each takes at best, taken in turn so that all see the same weather."""
+    best = dict.fromkeys(contenders, float("inf"))
+    for _ in range(rounds):
+        for name, run in contenders.items():
+            start = time.perf_counter()
+            run()
+            best[name] = min(best[name], time.perf_counter() - start)
+    return best
+
+
+def uniform_codes(
+    frames: int, rows: int, cols: int, occupancy: float, *, seed: int = 1
+) -> Iterator[NDArray[np.uint16]]:
+    """Frames in which a share of the pixels has a code, any with the same probability.
+
+    Real codes crowd around the pulses; these are spread over all counters, which is harder.
+    """
+    rng = np.random.default_rng(seed)
+    for _ in range(frames):
+        codes = rng.integers(1, 499, (rows, cols)).astype(np.uint16)
+        codes[rng.random((rows, cols)) >= occupancy] = 0
+        yield codes
+
+
+def packets_of(codes: Iterator[NDArray[np.uint16]], *, code_bits: int = 9) -> bytes:
+    """Packets of frames in sequence."""
+    return b"".join(
+        encode_frame(frame, sequence=i, frame=i, timestamp=i, code_bits=code_bits)
+        for i, frame in enumerate(codes)
+    )
+
+
+def per_pixel(seconds: float, pixels: int) -> str:
+    """Nanoseconds per pixel, and how many times real time that is."""
+    return f"{seconds / pixels * 1e9:.3f} ns/px = {pixels / seconds / REAL_TIME:.2f} × RT"
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"

@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,14 @@ from hueflight.instrument import Instrument
 from hueflight.reconstruction.reconstruct import METHODS, reconstruct
 
 _WAIT_S = 0.5
+
+
+def live_method() -> str:
+    """The best method that keeps up with a live picture: the joint fit only where it is compiled.
+
+    Its definition in NumPy takes most of a minute for a picture of the paper's size.
+    """
+    return "joint" if find_spec("hueflight.reconstruction._kernels") is not None else "paper"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +64,7 @@ class Pictures:
     Parameters
     ----------
     instrument : of the histograms.
-    method : see `reconstruct`; empty for the best there is.
+    method : see `reconstruct`; empty for the best that is fast enough.
     window_blocks : each picture is of the sum of so many histograms, the newest ones.
     on_picture : told of each picture, in the thread.
 
@@ -79,7 +88,7 @@ class Pictures:
         if method and method not in METHODS:
             raise HueflightError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
         self.instrument = instrument
-        self.method = method or ("joint" if "joint" in METHODS else METHODS[0])
+        self.method = method or live_method()
         self.calibration: Calibration | None = None
         self.latest: Picture | None = None
         self.made = self.skipped = 0

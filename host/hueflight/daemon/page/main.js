@@ -425,6 +425,7 @@ function begin() {
   $("calibrate-dialog").addEventListener("close", () => {
     if ($("calibrate-dialog").returnValue === "go") beginCalibration();
   });
+  $("calibrate-cancel").addEventListener("click", () => $("calibrate-dialog").close("cancel"));
   document.addEventListener("keydown", onKey);
   watchPointer($("view"));
   new ResizeObserver(() => {

@@ -293,6 +293,7 @@ class Acquisition:
         self._on_event("gap", {"seconds": round(gap.seconds, 3), "frames_lost": gap.frames_lost})
 
     def _begin_next(self) -> bool:
+        self._end_asked = False  # before the plan counts as running: a later stop is meant for it
         if not self._plans.empty():
             plan, future = self._plans.get()
             if not future.set_running_or_notify_cancel():
@@ -301,7 +302,6 @@ class Acquisition:
             plan, future = self._live, None
         else:
             return False
-        self._end_asked = False
         try:
             self._begin(plan, future)
         except DeviceError as error:

@@ -6,13 +6,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 import structlog
 
 from hueflight.calibration import Calibration
 from hueflight.capture.acquisition import Acquisition, LiveBlock
-from hueflight.capture.plan import CaptureError, RunPlan
+from hueflight.capture.plan import CaptureError, RunPlan, RunResult
 from hueflight.capture.run import RunSettings
 from hueflight.capture.summary import write_summary
 from hueflight.daemon.calibrating import Calibrating
@@ -58,6 +59,7 @@ class Service:
         self.viewers = 0
         self._lock = threading.Lock()
         self._recording_name = ""
+        self._recording: Future[RunResult] | None = None
         self.last_recording: dict[str, Any] = {}
         settings = RunSettings.of(
             instrument,
@@ -141,18 +143,19 @@ class Service:
             )  # fmt: skip
             plan.check()
             self._recording_name = name
-        future = self.acquisition.run(plan)
+        future = self._recording = self.acquisition.run(plan)
         future.add_done_callback(lambda done: self._recorded(name, done))
         return name
 
-    def _recorded(self, name: str, done: Any) -> None:
+    def _recorded(self, name: str, done: Future[RunResult]) -> None:
         """Called when a recording has ended, however."""
         with self._lock:
             self._recording_name = ""
         error = None if done.cancelled() else done.exception()
         if error is not None or done.cancelled():
-            self.last_recording = {"name": name, "failure": str(error or "cancelled")}
-            log.error("recording failed", name=name, reason=str(error))
+            reason = str(error or "stopped before it began")
+            self.last_recording = {"name": name, "failure": reason}
+            log.error("recording failed", name=name, reason=reason)
             return
         self.last_recording = write_summary(self.folder.path(name), done.result())
         log.info("recording ended", **self.last_recording)
@@ -169,7 +172,9 @@ class Service:
             name = self._recording_name
         if not name:
             raise CaptureError("no recording is being made")
-        self.acquisition.stop()
+        future = self._recording
+        if future is None or not future.cancel():  # else it had not begun
+            self.acquisition.stop()
         return name
 
     @property

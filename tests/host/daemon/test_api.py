@@ -67,10 +67,18 @@ def test_an_open_recording_is_stopped_by_hand(client: TestClient) -> None:
     again = client.post("/api/recordings", json={"name": "two"})
     assert again.status_code == 409
     assert f"recording '{name}' is being made" in again.json()["error"]
-    until(lambda: status(client)["run"]["frames"] > 100, "frames come")
+    until(lambda: status(client)["kind"] == "scene", "it has begun")
     assert client.post("/api/recordings/stop").json() == {"name": name}
     until(lambda: not status(client)["recording"]["name"], "it has ended")
     assert client.post("/api/recordings", json={"name": name}).status_code == 409
+
+
+def test_a_recording_stopped_before_it_began_is_none(client: TestClient) -> None:
+    """Whichever thread is first, the recording ends."""
+    for number in range(5):
+        client.post("/api/recordings", json={"name": f"short{number}"})
+        assert client.post("/api/recordings/stop").status_code == 200
+        until(lambda: not status(client)["recording"]["name"], "it has ended")
 
 
 def test_a_pixel(client: TestClient) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import json
 import os
 import subprocess
@@ -20,31 +19,10 @@ from hueflight.devices import CameraModel, FrameBank
 sys.path.insert(0, str(Path(__file__).parent))
 
 from emulated_camera import EmulatedCamera
+from emulation import require_packages
 from usbfs import UsbfsBus
 
-PRELOAD = "libumockdev-preload.so.0"
 PATIENCE_S = 60
-
-
-def missing_packages() -> list[str]:
-    """Debian packages without which the emulation can't be."""
-    found = []
-    try:
-        ctypes.CDLL(PRELOAD)
-    except OSError:
-        found.append("libumockdev0")
-    if ctypes.util.find_library("usb-1.0") is None:
-        found.append("libusb-1.0-0")
-    return found
-
-
-def require_packages() -> None:
-    """Skip, saying so, where they are not installed; never in continuous integration."""
-    if missing := missing_packages():
-        reason = f"USB emulation needs the Debian packages {' '.join(missing)}"
-        if os.environ.get("CI"):
-            pytest.fail(reason)
-        pytest.skip(reason)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,83 @@
+"""The daemon as people run it: a process of its own on the emulated bus."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent.parent / "usb"))
+
+from daemon_process import Daemon
+
+import hueflight as hf
+from hueflight.devices import CameraModel, FrameBank
+from hueflight.devices.frame_bank import simulated_packets
+
+
+@pytest.fixture(scope="session")
+def instrument_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The paper's instrument with few pixels, as a TOML file."""
+    text = (resources.files("hueflight") / "presets" / "paper.toml").read_text("utf-8")
+    text = re.sub(r"(?m)^rows = 192$", "rows = 48", text)
+    text = re.sub(r"(?m)^cols = 128$", "cols = 32", text)
+    # the same field of view with larger pixels
+    text = text.replace("pixel_width_um = 18.4", "pixel_width_um = 73.6")
+    text = text.replace("pixel_height_um = 9.2", "pixel_height_um = 36.8")
+    path = tmp_path_factory.mktemp("instrument") / "small.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="session")
+def banks(instrument_file: Path) -> dict[str, list[bytes]]:
+    """Simulated frames of the scene and of the reference target."""
+    text = hf.Instrument.load(instrument_file).to_json()
+    return {
+        kind: simulated_packets(kind, text, "fig1", 0.4, 400, 1) for kind in ("scene", "reference")
+    }
+
+
+@pytest.fixture
+def model(instrument_file: Path, banks: dict[str, list[bytes]]) -> CameraModel:
+    sensor = hf.Instrument.load(instrument_file).sensor
+    return CameraModel(sensor, FrameBank(banks["scene"]))
+
+
+@pytest.fixture
+def bus(tmp_path: Path, model: CameraModel) -> Iterator[Any]:
+    from emulated_camera import EmulatedCamera
+    from emulation import require_packages
+    from usbfs import UsbfsBus
+
+    require_packages()
+    made = UsbfsBus(tmp_path / "bus", EmulatedCamera(model))
+    made.plug()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def start_daemon(bus: Any, tmp_path: Path, instrument_file: Path) -> Iterator[Callable[[], Daemon]]:
+    """Function that starts a daemon on the emulated bus; its data lie in tmp_path/data."""
+    config = tmp_path / "daemon.toml"
+    config.write_text(
+        f'name = "test bench"\ninstrument = "{instrument_file}"\ndata = "{tmp_path}/data"\n'
+        "simulate = false\n[server]\nport = 0\nrequests_per_s = 200\nburst = 400\n"
+    )
+    started: list[Daemon] = []
+
+    def start() -> Daemon:
+        started.append(Daemon(config, bus.environment))
+        return started[-1]
+
+    yield start
+    for daemon in started:
+        daemon.end(signal.SIGKILL)

@@ -1,0 +1,150 @@
+"""The live page in a real browser, on a daemon on real USB stacks."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daemon_process import PATIENCE_S, Daemon, until
+
+from hueflight.devices import CameraModel, FrameBank
+from hueflight.recording import open_recording
+
+Start = Callable[[], Daemon]
+pytestmark = pytest.mark.slow
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = [
+    "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
+    "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
+DEPTH_IS_A_PICTURE = """() => {
+  const canvas = document.getElementById("plane"), gl = canvas.getContext("webgl2");
+  const pixels = new Uint8Array(4 * canvas.width * canvas.height);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  const seen = new Set();
+  for (let i = 0; i < pixels.length; i += 4) {
+    seen.add(pixels[i] << 16 | pixels[i + 1] << 8 | pixels[i + 2]);
+  }
+  return seen.size;
+}"""
+
+
+@pytest.fixture
+def page(start_daemon: Start) -> Iterator[Any]:
+    """The page of a running daemon; errors in its console fail the test."""
+    if CHROMIUM is None:
+        if os.environ.get("CI"):
+            pytest.fail("the page's tests need the Debian package chromium")
+        pytest.skip("the page's tests need the Debian package chromium")
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    daemon = start_daemon()
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        opened = browser.new_page(viewport={"width": 1280, "height": 860}, color_scheme="dark")
+        opened.set_default_timeout(PATIENCE_S * 1e3)
+        failures: list[str] = []
+        opened.on("pageerror", lambda error: failures.append(str(error)))
+        opened.goto(daemon.url)
+        opened.daemon = daemon
+        yield opened
+        browser.close()
+    assert not failures
+
+
+def test_a_session_at_the_instrument(
+    page: Any, bus: Any, model: CameraModel, banks: dict[str, list[bytes]], tmp_path: Path
+) -> None:
+    """Start, calibrate, look, inspect, record, unplug, replug, stop; by keyboard throughout."""
+
+    def wait(selector: str, text: str) -> None:
+        page.wait_for_function(
+            "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
+        )
+
+    wait("#state", "live")
+    assert page.is_hidden("#simulated")
+    wait("#hint", "not calibrated")
+
+    model.bank = FrameBank(banks["reference"])
+    page.keyboard.press("c")
+    assert page.is_visible("#calibrate-dialog")
+    page.fill("#distance", "0.4")
+    page.fill("#frames", "2000")
+    page.uncheck("#with-bands")
+    page.keyboard.press("Enter")
+    wait("#f-calibration", "calibrated at 0.4 m")
+    model.bank = FrameBank(banks["scene"])
+    page.wait_for_selector("#hint", state="hidden")
+
+    page.focus("#view")
+    page.keyboard.press("1")
+    until(lambda: page.evaluate(DEPTH_IS_A_PICTURE) > 50, "depth is drawn in many colours")
+    for key, view in zip("2345", ("colour", "bands", "points", "photons"), strict=True):
+        page.keyboard.press(key)
+        assert page.get_attribute(f"[data-view={view}]", "aria-selected") == "true"
+    page.keyboard.press("1")
+
+    page.keyboard.press("ArrowRight")
+    wait("#pixel-place", "row 24, column 17")
+    page.keyboard.press("Shift+ArrowUp")
+    wait("#pixel-place", "row 16, column 17")
+    wait("#pixel-note", "photons in")
+    box = page.locator("#view").bounding_box()
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    wait("#pixel-place", "row 24, column 16")
+    wait("#pixel-depth", " m")
+
+    page.keyboard.press("r")
+    page.wait_for_selector("#recording", state="visible")
+    name = page.daemon.status()["recording"]["name"]
+    until(lambda: page.daemon.status()["recording"]["frames"] > 200, "frames are recorded")
+    page.keyboard.press("r")
+    wait("#f-disk", f"last: {name}")
+    with open_recording(tmp_path / f"data/recordings/{name}.mcap") as recording:
+        assert recording.info().as_dict()["report"]["frames"] > 200
+
+    bus.unplug()
+    wait("#state", "no camera")
+    wait("#stale", "No camera.")
+    assert "old" in page.get_attribute("#view", "class")
+    bus.plug()
+    wait("#state", "live")
+    page.wait_for_selector("#stale", state="hidden")
+    wait("#gap-count", "1")
+    assert "bad" in page.get_attribute("#f-lost", "class")
+
+    page.keyboard.press(" ")
+    wait("#state", "stopped")
+    wait("#stale", "Stopped.")
+    page.keyboard.press(" ")
+    wait("#state", "live")
+
+    theme = page.get_attribute("html", "data-theme")
+    page.keyboard.press("t")
+    assert page.get_attribute("html", "data-theme") != theme
+
+    for width, height in ((390, 844), (320, 640), (1280, 720)):
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
+
+    page.daemon.end(signal.SIGKILL)
+    wait("#state", "daemon not reachable")
+    wait("#stale", "The daemon is not reachable.")
+
+
+def test_tabs_and_buttons_are_reached_by_tab_alone(page: Any) -> None:
+    page.wait_for_function("document.querySelector('#state').textContent === 'live'")
+    reached = []
+    for _ in range(14):
+        page.keyboard.press("Tab")
+        reached.append(
+            page.evaluate("document.activeElement.id || document.activeElement.dataset.view")
+        )
+    for wanted in ("run", "record", "calibrate", "theme", "depth", "photons", "view", "lock"):
+        assert wanted in reached, wanted

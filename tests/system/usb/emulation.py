@@ -1,0 +1,32 @@
+"""Whether the emulated bus can be had on this machine."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import os
+
+import pytest
+
+PRELOAD = "libumockdev-preload.so.0"
+
+
+def missing_packages() -> list[str]:
+    """Debian packages without which the emulation can't be."""
+    found = []
+    try:
+        ctypes.CDLL(PRELOAD)
+    except OSError:
+        found.append("libumockdev0")
+    if ctypes.util.find_library("usb-1.0") is None:
+        found.append("libusb-1.0-0")
+    return found
+
+
+def require_packages() -> None:
+    """Skip, saying so, where they are not installed; never in continuous integration."""
+    if missing := missing_packages():
+        reason = f"USB emulation needs the Debian packages {' '.join(missing)}"
+        if os.environ.get("CI"):
+            pytest.fail(reason)
+        pytest.skip(reason)

@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 from amaranth.lib import data
 
 from hueflight_protocol.errors import HueflightError, ProtocolError
 from hueflight_protocol.frame import FrameHeader
-from hueflight_protocol.wire import DEFAULT_RUN, dense_from
+from hueflight_protocol.wire import (
+    CHUNK_WORD,
+    DEFAULT_RUN,
+    FRAME_HEADER,
+    FRAME_TRAILER,
+    dense_bytes,
+    dense_from,
+)
 
 GROUP = 8
 """Codes in a group: at every width they fill whole bytes."""
@@ -108,6 +116,26 @@ class FrameFormat:
         return ChunkFormat(pixels, self.code_bits, self.lanes)
 
     @property
+    def max_packet_words(self) -> int:
+        """Words of eight bytes in the longest packet: that of a frame with all pixels lit."""
+        chunks = (self.chunks - 1) * self.chunk(last=False).dense_bytes
+        chunks += self.chunk(last=True).dense_bytes
+        return -(-(FRAME_HEADER.size + chunks + FRAME_TRAILER.size) // 8)
+
+    @property
+    def burst_banks(self) -> int:
+        """Banks that must be free for a frame of lit pixels that comes without a pause.
+
+        Dense chunks of wide codes come faster than eight bytes a clock can carry off; the rest
+        waits in the banks. If there are not enough, such a frame has to come more slowly.
+        """
+        chunk = self.chunk(last=False)
+        comes = chunk.beats
+        goes = max(1 + chunk.groups, chunk.dense_bytes / 8 + 0.5)  # half a word is no word
+        behind = self.chunks * max(0.0, goes - comes) / goes
+        return min(self.banks, ceil(behind) + 2)
+
+    @property
     def bank_groups(self) -> int:
         """Groups that a bank has addresses for."""
         return 1 << (self.run // GROUP - 1).bit_length()
@@ -175,6 +203,11 @@ class ChunkFormat:
     def dense_from(self) -> int:
         """Hits from which on the chunk is sent dense."""
         return dense_from(self.pixels, self.code_bits)
+
+    @property
+    def dense_bytes(self) -> int:
+        """Bytes of the chunk if it is sent dense, its chunk word included; it is never longer."""
+        return CHUNK_WORD.size + dense_bytes(self.pixels, self.code_bits)
 
     @property
     def bitmap_bytes(self) -> int:

@@ -51,6 +51,10 @@ class FrameFormatter(wiring.Component):
         Packets that are not frames; sent between frames. See `MESSAGE_LAYOUT`.
     o : Out(stream)
         Packets, see `WORD_LAYOUT`.
+    ends : Out(1)
+        The next beat is its frame's last.
+    begins : Out(1)
+        A frame's first beat is taken.
     in_frame : Out(1)
         Some but not all of a frame's beats have been taken.
     sending : Out(1)
@@ -63,6 +67,8 @@ class FrameFormatter(wiring.Component):
         Number of the next packet.
     room : Out
         Words that the buffer can still take.
+    banks_free : Out
+        Chunks that the banks can still take.
     """
 
     def __init__(self, form: FrameFormat, *, buffer_words: int = 512) -> None:
@@ -82,6 +88,8 @@ class FrameFormatter(wiring.Component):
                 "mask_data": In(MASK_WORD),
                 "messages": In(stream.Signature(MESSAGE_LAYOUT)),
                 "o": Out(stream.Signature(WORD_LAYOUT)),
+                "ends": Out(1),
+                "begins": Out(1),
                 "in_frame": Out(1),
                 "sending": Out(1),
                 "sent": Out(1),
@@ -89,6 +97,7 @@ class FrameFormatter(wiring.Component):
                 "hits": Out(32),
                 "sequence": Out(32),
                 "room": Out(range(buffer_words + 1)),
+                "banks_free": Out(range(form.banks + 1)),
             }
         )
 
@@ -118,6 +127,9 @@ class FrameFormatter(wiring.Component):
             pixel_filter.hold.eq(front.hold),
             self.mask_address.eq(pixel_filter.mask_address),
             pixel_filter.mask_data.eq(self.mask_data),
+            self.ends.eq(front.ends),
+            self.banks_free.eq(front.banks_free),
+            self.begins.eq(front.begins),
             self.in_frame.eq(front.in_frame),
         ]
         info = self._info(m, front, pixel_filter, reader)

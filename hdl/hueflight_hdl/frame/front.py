@@ -24,6 +24,8 @@ class FrameFront(wiring.Component):
         A bank has been read.
     o : Out(stream)
         Beats, see `FrameFormat.beat_layout`; cannot wait.
+    ends : Out(1)
+        The next beat is its frame's last.
     begins : Out(1)
         A frame's first beat is taken.
     in_frame : Out(1)
@@ -43,6 +45,7 @@ class FrameFront(wiring.Component):
                 "header_free": In(1),
                 "freed": In(1),
                 "o": Out(stream.Signature(form.beat_layout, always_ready=True)),
+                "ends": Out(1),
                 "begins": Out(1),
                 "in_frame": Out(1),
                 "hold": Out(1),
@@ -76,6 +79,7 @@ class FrameFront(wiring.Component):
             payload.first.eq(~self.in_frame),
             chunk_end.eq(beat == Mux(in_last, last.beats - 1, inner.beats - 1)),
             frame_end.eq(chunk_end & in_last),
+            self.ends.eq(frame_end),
             payload.chunk_end.eq(chunk_end),
             payload.frame_end.eq(frame_end),
             payload.abort.eq(aborts),

@@ -1,0 +1,359 @@
+"""The camera: exposures, sensor, formatter, registers, all but the link and the pins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from amaranth.hdl import Module, Mux, Signal
+from amaranth.lib import stream, wiring
+from amaranth.lib.wiring import In, Out, connect, flipped
+
+from hueflight_protocol.camera_map import PIXEL_MASK_ADDRESS, camera_map
+from hueflight_protocol.registers import RegisterMap
+from hueflight_protocol.wire import FrameFlags
+
+from ..control.common import add_control
+from ..control.messages import request_stream, response_stream
+from ..control.register_file import RegisterFile
+from ..frame.counters import CaptureCounters
+from ..frame.format import WORD_LAYOUT, FormatError, FrameFormat
+from ..frame.formatter import FrameFormatter
+from ..frame.guard import PATIENCE_CLOCKS, FrameGuard
+from ..frame.mask import PixelMask
+from ..frame.messages import Messenger
+from ..sensor.exposure import MARKER_BITS, ExposureControl
+from ..sensor.port import SensorPort
+from ..sensor.scene import Scene
+from ..sensor.synthetic import SyntheticSensor
+from ..source import VERSION
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """A camera.
+
+    Parameters
+    ----------
+    form : FrameFormat
+        Geometry, code width, lanes, run length; its `clock_hz` is that of the domain `sync`.
+    buffer_words : int
+        Words of eight bytes between formatter and link, a power of two.
+    admit_words : int
+        A frame is admitted if the buffer has room for so many words when it begins. At
+        `FrameFormat.max_packet_words` no admitted frame is ever aborted for want of room.
+    sensor : bool
+        A sensor is attached; without it only the synthetic one.
+    scene : Scene, optional
+        Of the synthetic sensor.
+    patience : int
+        Clocks without a beat after which a readout is given up.
+    serial : int
+        Number of the board.
+    source : int
+        What tells the sources apart; see `source.source_hash`.
+
+    Raises
+    ------
+    FormatError
+        If the buffer is smaller than what is asked of it, or the scene does not fit.
+    """
+
+    form: FrameFormat = field(default_factory=FrameFormat)
+    buffer_words: int = 512
+    admit_words: int = 64
+    sensor: bool = False
+    scene: Scene | None = None
+    patience: int = PATIENCE_CLOCKS
+    serial: int = 0
+    source: int = 0
+
+    def __post_init__(self) -> None:
+        if self.scene is not None:
+            self.scene.check(self.form)
+        if not 3 <= self.admit_words <= self.buffer_words:
+            raise FormatError(
+                f"admit_words = {self.admit_words}: must be from 3 to buffer_words = "
+                f"{self.buffer_words}"
+            )
+
+    def registers(self) -> RegisterMap:
+        """Return the register map of this build."""
+        form = self.form
+        return camera_map(
+            rows=form.rows,
+            cols=form.cols,
+            code_bits=form.code_bits,
+            lanes=form.lanes,
+            run=form.run,
+            geometry=form.geometry,
+            clock_hz=form.clock_hz,
+        )
+
+
+class Camera(wiring.Component):
+    """Everything between the sensor's seam, the illuminator's pins and a link's streams.
+
+    Members
+    -------
+    requests : In, responses : Out
+        See `control.messages`.
+    packets : Out(stream)
+        See `WORD_LAYOUT`.
+    sensor : Out(SensorPort)
+        See `sensor.port`.
+    trigger, frame_sync : Out(1)
+        To the illuminator.
+    marker : In(16), missed : In(1)
+        From the illuminator; need not be synchronous.
+    """
+
+    def __init__(self, config: CameraConfig) -> None:
+        self.config = config
+        form = config.form
+        self._registers = RegisterFile(
+            config.registers(), constants=self._constants(), windows=("pixel_mask",)
+        )
+        self._exposure = ExposureControl()
+        self._synthetic = SyntheticSensor(form, config.scene)
+        self._guard = FrameGuard(form, patience=config.patience)
+        self._formatter = FrameFormatter(form, buffer_words=config.buffer_words)
+        self._mask = PixelMask(form)
+        self._counters = CaptureCounters()
+        self._messenger = Messenger()
+        super().__init__(
+            {
+                "requests": In(request_stream()),
+                "responses": Out(response_stream()),
+                "packets": Out(stream.Signature(WORD_LAYOUT)),
+                "sensor": Out(SensorPort(form)),
+                "trigger": Out(1),
+                "frame_sync": Out(1),
+                "marker": In(MARKER_BITS),
+                "missed": In(1),
+            }
+        )
+
+    def _constants(self) -> dict[str | tuple[str, tuple[int, ...]], int]:
+        registers = self.config.registers()
+        major, minor, patch = VERSION
+        return {
+            "versions": registers["versions"].encode(major=major, minor=minor, patch=patch),
+            "serial": self.config.serial,
+            "source": self.config.source,
+            "features": registers["features"].encode(
+                sensor=self.config.sensor, scene=self.config.scene is not None
+            ),
+        }
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        engine = add_control(m, self._registers)
+        m.submodules.exposure = self._exposure
+        m.submodules.synthetic = self._synthetic
+        m.submodules.guard = self._guard
+        m.submodules.formatter = self._formatter
+        m.submodules.mask = self._mask
+        m.submodules.counters = self._counters
+        m.submodules.messenger = self._messenger
+        connect(m, flipped(self.requests), engine.requests)
+        connect(m, engine.responses, flipped(self.responses))
+        connect(m, self._guard.beats, self._formatter.beats)
+        connect(m, self._messenger.o, self._formatter.messages)
+        connect(m, self._formatter.o, flipped(self.packets))
+        self._exposures(m)
+        synthetic = self._sensors(m)
+        capture = self._capture(m)
+        self._frames(m, synthetic, capture)
+        self._filters(m)
+        self._count(m)
+        self._messages(m, capture)
+        self._status(m)
+        return m
+
+    def _exposures(self, m: Module) -> None:
+        registers, exposure, guard = self._registers, self._exposure, self._guard
+        settings = exposure.settings
+        m.d.comb += [
+            settings.period.eq(registers.period.value),
+            settings.periods.eq(registers.exposure.value),
+            settings.gap.eq(registers.gap.value),
+            settings.frame_limit.eq(registers.frame_limit.value),
+            settings.trigger_width.eq(registers.trigger.width),
+            settings.trigger_inverted.eq(registers.trigger.inverted),
+            settings.trigger_always.eq(registers.trigger.always),
+            settings.sync_width.eq(registers.trigger.sync_width),
+            exposure.start.eq(registers.run.start),
+            exposure.stop.eq(registers.run.stop),
+            exposure.abort.eq(registers.run.abort),
+            exposure.marker_pins.eq(self.marker),
+            exposure.missed_pin.eq(self.missed),
+            exposure.read_done.eq(guard.over),
+            guard.read.eq(exposure.read),
+            guard.give_up.eq(exposure.give_up),
+            self.trigger.eq(exposure.trigger),
+            self.frame_sync.eq(exposure.frame_sync),
+        ]
+
+    def _sensors(self, m: Module) -> Signal:
+        """Connect one of the two sensors; return whether it is the synthetic one."""
+        registers, exposure, guard = self._registers, self._exposure, self._guard
+        settings, inner, outer = self._synthetic.settings, self._synthetic.port, self.sensor
+        chosen = Signal()
+        # one sensor from the exposure to the end of its readout
+        with m.If(~exposure.exposing & ~exposure.read & ~guard.busy):
+            m.d.sync += chosen.eq(registers.synthetic.enable | (not self.config.sensor))
+        m.d.comb += [
+            settings.source.eq(registers.synthetic.source),
+            settings.occupancy.eq(registers.synthetic.occupancy),
+            settings.seed.eq(registers.synthetic_seed.value),
+            settings.delay_start.eq(registers.synthetic_delay.start),
+            settings.delay_step.eq(registers.synthetic_delay.step),
+            self._synthetic.began.eq(exposure.began),
+            inner.expose.eq(exposure.expose & chosen),
+            inner.read.eq(exposure.read & chosen),
+            outer.expose.eq(exposure.expose & ~chosen),
+            outer.read.eq(exposure.read & ~chosen),
+            guard.sensor.valid.eq(Mux(chosen, inner.beats.valid, outer.beats.valid)),
+            guard.sensor.payload.eq(Mux(chosen, inner.beats.payload, outer.beats.payload)),
+        ]
+        return chosen
+
+    def _capture(self, m: Module) -> Signal:
+        """Return the label of the capture, as it was when the capture began."""
+        capture = Signal(32)
+        with m.If(self._exposure.began):
+            m.d.sync += capture.eq(self._registers.capture.value)
+        return capture
+
+    def _frames(self, m: Module, synthetic: Signal, capture: Signal) -> None:
+        """Admission, and what a frame's header says."""
+        exposure, guard, formatter = self._exposure, self._guard, self._formatter
+        dropped = self._counters.counters.frames_dropped
+        info = formatter.info
+        missed = Signal()  # a trigger, since the frame before
+        with m.If(exposure.missed):
+            m.d.sync += missed.eq(1)
+        with m.Elif(formatter.begins | exposure.began):
+            m.d.sync += missed.eq(0)
+        m.d.sync += guard.admit.eq(
+            (formatter.room >= self.config.admit_words)
+            & (formatter.banks_free >= self.config.form.burst_banks)
+        )
+        m.d.comb += [
+            guard.ends.eq(formatter.ends),
+            formatter.abort.eq(guard.abort),
+            info.timestamp.eq(exposure.timestamp),
+            info.frame.eq(exposure.frame),
+            info.periods.eq(exposure.periods),
+            info.dropped.eq(dropped),
+            info.step.eq(exposure.step),
+            info.capture.eq(capture),
+            info.flags.eq(
+                Mux(synthetic, FrameFlags.TEST_PATTERN.value, 0)
+                | Mux(missed, FrameFlags.TRIGGER_LOST.value, 0)
+                | Mux(dropped.all(), FrameFlags.SATURATED.value, 0)
+            ),
+        ]
+
+    def _filters(self, m: Module) -> None:
+        registers, filters, mask = self._registers, self._formatter.filters, self._mask
+        offset = PIXEL_MASK_ADDRESS.bit_length() - 1
+        m.d.comb += [
+            filters.mask.eq(registers.filters.mask),
+            filters.roi.eq(registers.filters.roi),
+            filters.gate.eq(registers.filters.gate),
+            filters.rows.eq(registers.roi_rows),
+            filters.cols.eq(registers.roi_cols),
+            filters.codes.eq(registers.gate),
+            mask.write.eq(registers.written & registers.written_address[offset]),
+            mask.write_address.eq(registers.written_address),
+            mask.write_word.eq(registers.written_word),
+            mask.host_address.eq(registers.address),
+            registers.pixel_mask_word.eq(mask.host_word),
+            mask.address.eq(self._formatter.mask_address),
+            self._formatter.mask_data.eq(mask.word),
+        ]
+
+    def _count(self, m: Module) -> None:
+        exposure, guard, formatter = self._exposure, self._guard, self._formatter
+        counters = self._counters
+        m.d.comb += [
+            counters.began.eq(exposure.began),
+            counters.frames_dropped.eq(guard.dropped),
+            counters.frames_aborted.eq(guard.aborted),
+            counters.triggers_lost.eq(exposure.missed & exposure.running),
+            counters.stall_clocks.eq(self.packets.valid & ~self.packets.ready),
+            counters.faults.eq(guard.fault),
+            counters.sent.eq(formatter.sent),
+            counters.hits.eq(formatter.hits),
+            counters.triggered.eq(exposure.triggered & exposure.running),
+            counters.waiting.eq((self.config.buffer_words - formatter.room) << 3),
+            counters.frame.eq(exposure.frame),
+        ]
+
+    def _messages(self, m: Module, capture: Signal) -> None:
+        registers, exposure, guard = self._registers, self._exposure, self._guard
+        counters, messenger = self._counters, self._messenger
+        # what ends a capture is said when its last frame has been sent
+        ending = Signal()
+        settled = Signal()
+        m.d.comb += settled.eq(ending & ~self._formatter.in_frame & ~self._formatter.sending)
+        with m.If(exposure.ended):
+            m.d.sync += ending.eq(1)
+        with m.Elif(settled):
+            m.d.sync += ending.eq(0)
+
+        interval = registers.status_interval.value
+        frames = Signal(32)  # since the last status
+        due = Signal()
+        m.d.comb += due.eq(guard.over & (frames + 1 >= interval))
+        with m.If(exposure.began | due):
+            m.d.sync += frames.eq(0)
+        with m.Elif(guard.over):
+            m.d.sync += frames.eq(frames + 1)
+
+        m.d.comb += [
+            exposure.ready.eq(messenger.idle & ~ending),
+            messenger.started.eq(exposure.began),
+            messenger.overflow.eq(guard.dropped | guard.aborted),
+            messenger.trigger_lost.eq(exposure.missed & exposure.running),
+            messenger.fault.eq(guard.fault),
+            messenger.stopped.eq(settled),
+            messenger.status.eq((due | settled) & (interval != 0)),
+            messenger.test.eq(registers.test_send.value),
+            messenger.capture.eq(capture),
+            messenger.now.eq(exposure.now),
+            messenger.counters.eq(counters.counters),
+            messenger.pattern.eq(registers.test_packet.pattern),
+            messenger.words.eq(registers.test_packet.words),
+            messenger.seed.eq(registers.test_seed.value),
+        ]
+
+    def _status(self, m: Module) -> None:
+        registers, exposure = self._registers, self._exposure
+        guard, formatter, counters = self._guard, self._formatter, self._counters
+        counted = counters.counters
+        m.d.comb += [
+            registers.state.running.eq(exposure.running),
+            registers.state.stopping.eq(exposure.stopping),
+            registers.state.exposing.eq(exposure.exposing),
+            registers.state.sending.eq(formatter.sending | formatter.in_frame),
+            registers.state.stalled.eq(self.packets.valid & ~self.packets.ready),
+            registers.faults_set.dropped.eq(guard.dropped),
+            registers.faults_set.aborted.eq(guard.aborted),
+            registers.faults_set.trigger_lost.eq(exposure.missed & exposure.running),
+            registers.faults_set.sensor.eq(guard.fault),
+            registers.faults_set.saturated.eq(counters.saturated),
+            registers.timestamp.value.eq(exposure.now),
+            registers.frame.value.eq(counted.frame),
+            registers.frames_sent.value.eq(counted.frames_sent),
+            registers.hits.value.eq(counters.hits_sent),
+            registers.periods.value.eq(counters.periods),
+            registers.frames_dropped.value.eq(counted.frames_dropped),
+            registers.frames_aborted.value.eq(counted.frames_aborted),
+            registers.triggers_lost.value.eq(counted.triggers_lost),
+            registers.stall_clocks.value.eq(counted.stall_clocks),
+            registers.buffer_peak.value.eq(counted.buffer_peak),
+            registers.sequence.value.eq(formatter.sequence),
+            registers.marker.value.eq(exposure.marker),
+        ]

@@ -1,0 +1,1 @@
+"""Exposures, the seam to a sensor, and a synthetic sensor behind it."""

@@ -1,0 +1,224 @@
+"""Exposures: the illuminator's triggers, the frame sync, and when the sensor is read."""
+
+from __future__ import annotations
+
+from amaranth.hdl import Module, Mux, Signal
+from amaranth.lib import data, wiring
+from amaranth.lib.cdc import FFSynchronizer
+from amaranth.lib.wiring import In, Out
+
+MARKER_BITS = 16
+
+EXPOSURE_LAYOUT = data.StructLayout(
+    {
+        "period": 16,  # clocks; 0 as 1
+        "periods": 32,  # of an exposure; 0 reads out at once
+        "gap": 32,  # clocks from readout to exposure
+        "frame_limit": 32,  # 0 = until stopped
+        "trigger_width": 8,  # clocks; 0 = no triggers
+        "trigger_inverted": 1,
+        "trigger_always": 1,  # between exposures too
+        "sync_width": 8,  # clocks
+    }
+)
+"""Settings; those of time are taken over when an exposure begins."""
+
+
+class ExposureControl(wiring.Component):
+    """Runs captures: exposure, readout, gap, and again.
+
+    A trigger begins each period of an exposure; the frame sync begins with the first one, and
+    has the illuminator step on, whose marker is sampled when the exposure ends.
+
+    Members
+    -------
+    settings : In
+        See `EXPOSURE_LAYOUT`.
+    start, stop, abort : In(1)
+        Begin a capture, ending at once one that is on; end it after the present frame; end it
+        at once.
+    ready : In(1)
+        A capture may begin: what is to be said of the one before has been said.
+    trigger, frame_sync : Out(1)
+        To the illuminator.
+    marker_pins : In(16), missed_pin : In(1)
+        From the illuminator, not synchronous: step marker; a trigger was missed (rising edge).
+    expose, read : Out(1)
+        To the sensor.
+    read_done : In(1)
+        The readout is over, whatever became of it.
+    give_up : Out(1)
+        The readout is not waited for any longer.
+    running, stopping, exposing : Out(1)
+        State.
+    began, ended : Out(1)
+        A capture begins: counters start at 0; or ended.
+    triggered, missed : Out(1)
+        A trigger was sent; the illuminator missed one.
+    frame : Out(64)
+        Number of the present frame in the capture; after its end, the number of its frames.
+    now : Out(64)
+        Device clock.
+    timestamp, periods, step : Out
+        Of the exposure that is read.
+    marker : Out(16)
+        On the pins now.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            {
+                "settings": In(EXPOSURE_LAYOUT),
+                "start": In(1),
+                "stop": In(1),
+                "abort": In(1),
+                "ready": In(1),
+                "trigger": Out(1),
+                "frame_sync": Out(1),
+                "marker_pins": In(MARKER_BITS),
+                "missed_pin": In(1),
+                "expose": Out(1),
+                "read": Out(1),
+                "read_done": In(1),
+                "give_up": Out(1),
+                "running": Out(1),
+                "stopping": Out(1),
+                "exposing": Out(1),
+                "began": Out(1),
+                "ended": Out(1),
+                "triggered": Out(1),
+                "missed": Out(1),
+                "frame": Out(64),
+                "now": Out(64),
+                "timestamp": Out(64),
+                "periods": Out(32),
+                "step": Out(MARKER_BITS),
+                "marker": Out(MARKER_BITS),
+            }
+        )
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        settings = self.settings
+        m.d.sync += self.now.eq(self.now + 1)
+        self._inputs(m)
+
+        # periods follow each other without end; an exposure begins with one
+        clock = Signal(16)
+        period_ends = Signal()
+        restart = Signal()
+        m.d.comb += period_ends.eq(clock + 1 >= settings.period)
+        m.d.sync += clock.eq(Mux(period_ends | restart, 0, clock + 1))
+        begins = Signal()  # this is the first clock of a period
+        m.d.sync += begins.eq(period_ends | restart)
+
+        left = Signal(32)  # periods
+        gap = Signal(32)
+        limited, frames_left = Signal(), Signal(32)
+        starting = Signal()  # a start waits for the capture before to end
+        with m.If(self.start):
+            m.d.sync += starting.eq(1)
+        with m.If(self.stop):
+            m.d.sync += self.stopping.eq(1)
+        cut, aborting = Signal(), Signal()  # end at once
+        m.d.comb += cut.eq(self.abort | aborting | starting)
+        with m.If(self.abort):
+            m.d.sync += aborting.eq(1)
+
+        with m.FSM():
+            with m.State("IDLE"):
+                m.d.sync += [self.stopping.eq(0), aborting.eq(0)]
+                with m.If(starting & self.ready):
+                    m.d.comb += self.began.eq(1)
+                    m.d.sync += [
+                        starting.eq(0),
+                        self.running.eq(1),
+                        self.frame.eq(0),
+                        limited.eq(settings.frame_limit != 0),
+                        frames_left.eq(settings.frame_limit),
+                    ]
+                    m.next = "ALIGN"
+            with m.State("ALIGN"):
+                # settings are those of this clock; a free-running period is waited for
+                m.d.comb += restart.eq(~settings.trigger_always)
+                with m.If(cut | self.stopping):
+                    m.next = "END"
+                with m.Elif(restart | period_ends):
+                    m.d.sync += [
+                        left.eq(settings.periods),
+                        self.periods.eq(settings.periods),
+                        self.timestamp.eq(self.now + 1),
+                        self.exposing.eq(settings.periods != 0),
+                    ]
+                    m.next = "EXPOSE"
+            with m.State("EXPOSE"):
+                with m.If(cut):
+                    m.d.sync += self.exposing.eq(0)
+                    m.next = "END"
+                with m.Elif(~self.exposing | (period_ends & (left == 1))):
+                    m.d.sync += [self.exposing.eq(0), self.step.eq(self.marker)]
+                    m.next = "READ"
+                with m.Elif(period_ends):
+                    m.d.sync += left.eq(left - 1)
+            with m.State("READ"):
+                m.d.comb += self.read.eq(1)
+                m.next = "WAIT"
+            with m.State("WAIT"):
+                m.d.comb += self.give_up.eq(cut)
+                with m.If(self.read_done):
+                    m.d.sync += [
+                        self.frame.eq(self.frame + 1),
+                        gap.eq(settings.gap),
+                        frames_left.eq(frames_left - 1),
+                    ]
+                    m.next = "GAP"
+                    with m.If(cut | self.stopping | (limited & (frames_left == 1))):
+                        m.next = "END"
+            with m.State("GAP"):
+                m.d.sync += gap.eq(gap - 1)
+                with m.If(cut | self.stopping):
+                    m.next = "END"
+                with m.Elif(gap <= 1):
+                    m.next = "ALIGN"
+            with m.State("END"):
+                m.d.comb += self.ended.eq(1)
+                m.d.sync += self.running.eq(0)
+                m.next = "IDLE"
+
+        m.d.comb += self.expose.eq(self.exposing)
+        self._outputs(m, begins)
+        return m
+
+    def _inputs(self, m: Module) -> None:
+        """Synchronise the illuminator's pins; the marker counts once it stands still."""
+        seen = Signal(MARKER_BITS)
+        before = Signal(MARKER_BITS)
+        m.submodules.marker_sync = FFSynchronizer(self.marker_pins, seen)
+        m.d.sync += before.eq(seen)
+        with m.If(seen == before):
+            m.d.sync += self.marker.eq(seen)
+        missed, missed_before = Signal(), Signal()
+        m.submodules.missed_sync = FFSynchronizer(self.missed_pin, missed)
+        m.d.sync += missed_before.eq(missed)
+        m.d.comb += self.missed.eq(missed & ~missed_before)
+
+    def _outputs(self, m: Module, begins: Signal) -> None:
+        """Make pulses of the set width where periods and exposures begin."""
+        settings = self.settings
+        trigger_left, sync_left = Signal(8), Signal(8)
+        exposing_before = Signal()
+        m.d.sync += exposing_before.eq(self.exposing)
+        m.d.comb += self.triggered.eq(begins & (self.exposing | settings.trigger_always))
+        for left, width, fires in (
+            (trigger_left, settings.trigger_width, self.triggered),
+            (sync_left, settings.sync_width, self.exposing & ~exposing_before),
+        ):
+            with m.If(fires):
+                m.d.sync += left.eq(width)
+            with m.Elif(left != 0):
+                m.d.sync += left.eq(left - 1)
+        # from registers, without glitches
+        m.d.sync += [
+            self.trigger.eq((trigger_left != 0) ^ settings.trigger_inverted),
+            self.frame_sync.eq(sync_left != 0),
+        ]

@@ -1,0 +1,55 @@
+"""The seam between the camera and a sensor's readout.
+
+What a readout must keep to:
+
+1. Light counts while ``expose`` is high. The clock after it falls, ``read`` is high for one
+   clock and asks for the codes of that exposure; never before the readout before is over.
+2. Codes come in readout order, row after row and column after column, ``lanes`` of them in
+   each clock in which ``beats.valid`` is high, the first in lane 0. Rows run on into each
+   other; only in a frame's last beat may lanes be left over, and what they carry is ignored.
+3. Code 0 says that no photon came.
+4. ``first`` marks the beat with a frame's first pixel, ``row`` each beat with a row's first
+   pixel, ``last`` the beat with the last pixel. They say nothing that is not known already:
+   a frame whose marks are not where they should be is not sent as if nothing were wrong.
+5. The camera cannot make the sensor wait. Beats may come in every clock or with any pauses
+   shorter than the camera's patience.
+6. A readout that is not asked for is ignored.
+"""
+
+from __future__ import annotations
+
+from amaranth.lib import data, stream, wiring
+from amaranth.lib.wiring import In, Out
+
+from ..frame.format import FrameFormat
+
+
+def sensor_beat_layout(form: FrameFormat, /) -> data.StructLayout:
+    """Return the layout of one clock's codes and marks."""
+    return data.StructLayout(
+        {"codes": form.codes_layout(form.lanes), "first": 1, "row": 1, "last": 1}
+    )
+
+
+class SensorPort(wiring.Signature):
+    """Seam to a sensor, as the camera sees it.
+
+    Parameters
+    ----------
+    form : FrameFormat
+        Geometry, code width, lanes.
+
+    Members
+    -------
+    expose : Out(1)
+        Light counts.
+    read : Out(1)
+        Read the exposure out.
+    beats : In(stream)
+        See `sensor_beat_layout`; never waits.
+    """
+
+    def __init__(self, form: FrameFormat) -> None:
+        self.form = form
+        beats = stream.Signature(sensor_beat_layout(form), always_ready=True)
+        super().__init__({"expose": Out(1), "read": Out(1), "beats": In(beats)})

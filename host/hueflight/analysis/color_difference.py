@@ -12,6 +12,9 @@ def lab(xyz: ArrayLike, /, *, white: ArrayLike) -> NDArray[np.float64]:
     """CIELAB (…, 3) of tristimulus values (…, 3) relative to those of white (3,).
 
     CIE 15:2018, section 8.2.1.
+
+    >>> print(lab([0.2, 0.2, 0.2], white=[1, 1, 1]).round(2))
+    [51.84  0.    0.  ]
     """
     ratio = np.asarray(xyz, dtype=np.float64) / np.asarray(white, dtype=np.float64)
     root = np.cbrt(np.maximum(ratio, 0))
@@ -24,6 +27,9 @@ def delta_e_2000(first: ArrayLike, second: ArrayLike, /) -> NDArray[np.float64]:
     """CIEDE2000 difference (…) of CIELAB colours (…, 3); 1 is about the least one can see.
 
     Sharma, Wu and Dalal, Color Res. Appl. 30, 21 (2005), whose equation numbers are given.
+
+    >>> print(delta_e_2000([50, 2.6772, -79.7751], [50, 0, -82.7485]).round(4))
+    2.0425
     """
     l1, a1, b1 = np.moveaxis(np.asarray(first, dtype=np.float64), -1, 0)
     l2, a2, b2 = np.moveaxis(np.asarray(second, dtype=np.float64), -1, 0)

@@ -78,6 +78,10 @@ def spectral_angle(first: xr.DataArray, second: xr.DataArray, /) -> xr.DataArray
 
     Bands without a value in either are left out. Kruse et al., Remote Sens. Environ. 44, 145
     (1993).
+
+    >>> red = xr.DataArray([0.2, 0.6], dims="band")
+    >>> print(spectral_angle(red, 2 * red).item())
+    0.0
     """
     both = finite(first) & finite(second)
     a, b = first.where(both, 0.0).astype(np.float64), second.where(both, 0.0).astype(np.float64)
@@ -94,6 +98,9 @@ def discoveries(probabilities: NDArray[np.floating], rate: float, /) -> NDArray[
     """Which null hypotheses to reject so that a share of at most `rate` is rejected wrongly.
 
     NaN is never rejected. Benjamini and Hochberg, J. R. Stat. Soc. B 57, 289 (1995).
+
+    >>> discoveries(np.array([0.001, 0.03, 0.5, np.nan]), 0.05).tolist()
+    [True, True, False, False]
     """
     known = np.isfinite(probabilities)
     ordered = np.sort(probabilities[known])

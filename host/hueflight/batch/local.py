@@ -131,8 +131,8 @@ def _serve(line: Any, job: Job) -> None:
 
 
 def _stop(worker: _Worker) -> None:
-    worker.line.close()
-    if worker.capture is not None or worker.process.exitcode is None:
+    worker.line.close()  # an idle worker takes this as the end and leaves by itself
+    if worker.capture is not None:
         worker.process.terminate()
     worker.process.join(timeout=5)
     if worker.process.exitcode is None:

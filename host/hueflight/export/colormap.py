@@ -21,6 +21,9 @@ def colours(plane: NDArray[np.floating], low: float, high: float) -> NDArray[np.
     """Values (row, col) as colours (row, col, 3); beyond the limits the end colours.
 
     NaN becomes `NO_DATA`.
+
+    >>> colours(np.array([[0.0, np.nan, 1.0]]), 0, 1).tolist()
+    [[[68, 1, 84], [176, 176, 176], [253, 231, 37]]]
     """
     share = np.clip((np.asarray(plane, dtype=np.float64) - low) / (high - low), 0, 1)
     known = np.isfinite(share)

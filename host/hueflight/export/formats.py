@@ -66,6 +66,11 @@ def format_of(path: str | Path, name: str | None = None) -> Format:
     ------
     ExportError
         If there is none such.
+
+    Examples
+    --------
+    >>> format_of("scene.ome.tif").name
+    'ome-tiff'
     """
     if name is not None:
         if name not in FORMATS:

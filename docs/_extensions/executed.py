@@ -1,0 +1,146 @@
+"""Code that readers see is code that ran: a directive that executes it while the pages are built.
+
+A block in a page, marked ``{run} python``, ``{run} bash`` or ``{run} text`` with ``:file: NAME``,
+is executed in order with the other blocks of that page: Python in one interpreter's namespace,
+shell commands and files in one temporary folder. What it prints and what it draws with Matplotlib
+appear below it. A block that fails ends the build.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+LONGEST_SECONDS = 300
+
+
+class Page:
+    """What the blocks of one page share."""
+
+    def __init__(self, files: list[Path]) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="hueflight-docs-"))
+        self.names: dict[str, Any] = {"__name__": "__main__"}
+        self.figures = 0
+        for file in files:
+            shutil.copy(file, self.folder)
+
+    def run_python(self, code: str, where: str) -> str:
+        """What the code printed."""
+        printed = io.StringIO()
+        before = Path.cwd()
+        os.chdir(self.folder)
+        try:
+            with contextlib.redirect_stdout(printed):
+                exec(compile(code, where, "exec"), self.names)
+        finally:
+            os.chdir(before)
+        return printed.getvalue()
+
+    def run_bash(self, code: str) -> str:
+        """What the commands printed; the first that fails ends them."""
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+        done = subprocess.run(
+            ["bash", "-euo", "pipefail", "-c", code],
+            cwd=self.folder,
+            env={**os.environ, "PATH": path, "COLUMNS": "88", "NO_COLOR": "1"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=LONGEST_SECONDS,
+            check=False,
+        )
+        if done.returncode:
+            raise RuntimeError(f"exit code {done.returncode}:\n{done.stdout}")
+        return done.stdout
+
+    def new_figures(self, folder: Path, stem: str) -> list[str]:
+        """Save open figures into `folder`; their file names."""
+        if "matplotlib" not in sys.modules:
+            return []
+        from matplotlib import pyplot
+
+        saved = []
+        for number in pyplot.get_fignums():
+            self.figures += 1
+            name = f"{stem}-{self.figures}.png"
+            pyplot.figure(number).savefig(folder / name, dpi=110, bbox_inches="tight")
+            saved.append(name)
+        pyplot.close("all")
+        return saved
+
+
+class Run(SphinxDirective):
+    """``{run} LANGUAGE``; option ``file`` writes the block there instead of running it."""
+
+    has_content = True
+    required_arguments = 1
+    option_spec: ClassVar[dict[str, Any]] = {
+        "file": directives.unchanged_required,
+        "alt": directives.unchanged,
+        "hide-output": directives.flag,
+    }
+
+    def run(self) -> list[nodes.Node]:
+        """The code, what it printed and what it drew."""
+        language, code = self.arguments[0], "\n".join(self.content)
+        page = self._page()
+        source, line = self.get_source_info()
+        shown = nodes.literal_block(code, code, language=language)
+        result: list[nodes.Node] = [shown]
+        if name := self.options.get("file"):
+            (page.folder / name).write_text(code + "\n", encoding="utf-8")
+            caption = nodes.caption("", "", nodes.literal("", name))
+            return [nodes.container("", caption, shown, literal_block=True)]
+        try:
+            if language == "python":
+                printed = page.run_python(code, f"{source}:{line}")
+            elif language == "bash":
+                printed = page.run_bash(code)
+            else:
+                raise self.error(f"{language!r} can't be run: python or bash")
+        except Exception:  # whatever the page's code raises is a fault of the page
+            raise self.severe(f"a block failed:\n{traceback.format_exc(limit=-3)}") from None
+        if printed.strip() and "hide-output" not in self.options:
+            result.append(nodes.literal_block(printed, printed, language="text"))
+        folder = Path(self.env.srcdir) / "_generated"
+        folder.mkdir(exist_ok=True)
+        for figure in page.new_figures(folder, self.env.docname.replace("/", "-")):
+            image = nodes.image(uri=f"/_generated/{figure}", alt=self.options.get("alt", ""))
+            self.env.note_dependency(str(folder / figure))
+            result.append(image)
+        return result
+
+    def _page(self) -> Page:
+        pages: dict[str, Page] = self.env.temp_data.setdefault("executed", {})
+        if self.env.docname not in pages:
+            files = [Path(self.env.srcdir) / name for name in self.config.executed_files]
+            pages[self.env.docname] = Page(files)
+        return pages[self.env.docname]
+
+
+def clean_up(app: Sphinx, document: nodes.document) -> None:
+    """Remove the temporary folder of a page that has been read."""
+    for page in app.env.temp_data.get("executed", {}).values():
+        shutil.rmtree(page.folder, ignore_errors=True)
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Register the directive."""
+    app.add_config_value("executed_files", [], "env", list)
+    app.add_directive("run", Run)
+    app.connect("doctree-read", clean_up)
+    # a page owns its figures and its folder, so pages may be read side by side
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -245,7 +245,7 @@ class Acquisition:
             self._settle_orphan(rig)
             if rig.camera.running():
                 rig.camera.stop(abort=True)
-            rig.camera.configure(self.instrument)
+            chosen = rig.camera.configure(self.instrument)
         except DeviceError as error:
             rig.close()
             self.snapshot = replace(self.snapshot, problem=str(error))
@@ -253,7 +253,14 @@ class Acquisition:
         self._rig = rig
         self._connections += 1
         identity = rig.camera.identity
-        self._on_event("connected", {"serial": identity.serial, "place": identity.place})
+        self._on_event(
+            "connected",
+            {
+                "serial": identity.serial,
+                "place": identity.place,
+                "frame_rate_hz": round(chosen.rate_hz, 1),
+            },
+        )
         run = self._run
         if run is not None:
             self._resume(run)

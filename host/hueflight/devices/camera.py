@@ -16,6 +16,7 @@ from hueflight.instrument import Instrument
 from hueflight_protocol import camera_map
 from hueflight_protocol.camera_map import BOARD
 
+LEAST_RATE = 0.9  #: of the frame rate asked for; less is refused
 MAX_BYTES_PER_S = 400e6  #: what USB 3 carries in practice
 TRANSFER_S = 0.004  #: a transfer holds about this much of the stream
 MIN_TRANSFER_BYTES, MAX_TRANSFER_BYTES = 1 << 14, 1 << 20
@@ -35,12 +36,15 @@ class CameraSettings:
     exposure_periods : trains in an exposure.
     gap_clocks : pause between readout and next exposure.
     status_interval : frames from one status packet to the next, 0 for none.
+    rate_hz : frames per second that come of it; a little less than asked for, where readouts
+        leave no more time.
     """
 
     period_clocks: int
     exposure_periods: int
     gap_clocks: int
     status_interval: int
+    rate_hz: float
 
     @classmethod
     def of(cls, instrument: Instrument, *, clock_hz: int, lanes: int) -> CameraSettings:
@@ -68,16 +72,20 @@ class CameraSettings:
         exposure_ns = (sensor.exposure_ms or 1.0) * 1e6
         periods = max(1, round(exposure_ns / period_ns))
         readout = -(-sensor.rows * sensor.cols // lanes)
+        exposed = periods * period_clocks
         gap = 0
         if sensor.frame_rate_hz is not None:
-            gap = round(clock_hz / sensor.frame_rate_hz) - periods * period_clocks - readout
-            if gap < 0 and -gap * sensor.frame_rate_hz > 0.5 * clock_hz:
-                raise WrongDeviceError(
-                    f"sensor.frame_rate_hz = {sensor.frame_rate_hz} leaves no time for an exposure "
-                    f"of {exposure_ns / 1e6} ms: lower one of them"
-                )
-        rate = sensor.frame_rate_hz or clock_hz / (periods * period_clocks + readout)
-        return cls(period_clocks, periods, max(0, gap), max(1, round(rate)))
+            gap = max(0, round(clock_hz / sensor.frame_rate_hz) - exposed - readout)
+        rate = clock_hz / (exposed + readout + gap)
+        if sensor.frame_rate_hz is not None and rate < LEAST_RATE * sensor.frame_rate_hz:
+            left_ms = 1e3 * (1 / sensor.frame_rate_hz - readout / clock_hz)
+            raise WrongDeviceError(
+                f"sensor.frame_rate_hz = {sensor.frame_rate_hz}: this camera reads out for "
+                f"{1e3 * readout / clock_hz:.4g} ms after each exposure, so that exposures of "
+                f"{exposure_ns / 1e6:.4g} ms give {rate:.0f} frames per second; lower the rate, or "
+                f"sensor.exposure_ms to {max(left_ms, 0):.4g}"
+            )
+        return cls(period_clocks, periods, gap, max(1, round(rate)), rate)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from hueflight_protocol import (
 from hueflight_protocol.wire import PatternKind
 
 CLOCK_HZ = 100_000_000
-LANES = 8
+LANES = 64  #: a readout takes little time, so that every preset's frame rate is nearly reached
 BUFFER_BYTES = 8 << 20  #: a software clock is late by milliseconds, so it needs more than a board
 _SATURATED = (1 << 32) - 1
 

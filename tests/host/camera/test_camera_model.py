@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,6 +80,13 @@ def test_settings_that_the_clock_cannot_make(fast: hf.Instrument) -> None:
     sensor = type(fast.sensor)(rows=7, cols=8, code_bits=9, bin_width_ns=0.642)
     with pytest.raises(WrongDeviceError, match="6 × 8 pixels of 9 bits"):
         camera.require(fast.replace(sensor=sensor))
+
+
+def test_a_rate_that_readouts_leave_no_time_for(fast: hf.Instrument) -> None:
+    camera, _ = camera_of(fast, Clock())
+    sensor = msgspec.structs.replace(fast.sensor, frame_rate_hz=9000.0)
+    with pytest.raises(WrongDeviceError, match=r"give 50\d\d frames per second; lower the rate"):
+        camera.configure(fast.replace(sensor=sensor))
 
 
 def test_the_mask_reaches_the_registers(fast: hf.Instrument) -> None:

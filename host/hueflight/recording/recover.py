@@ -245,10 +245,15 @@ def _examine(path: Path) -> _Examined:
         found.damaged_bytes += 0 if at else min(len(MAGIC), disk.size)
         ended = False
         for opcode, start, size in walk(disk.read, at or len(MAGIC), disk.size):
-            if size > MOST_RECORD_BYTES or not _take(found, disk, opcode, start, size):
-                break
+            intact = size <= MOST_RECORD_BYTES and _take(found, disk, opcode, start, size)
+            if not intact:
+                if not _plausible(disk, start + size):
+                    break
+                # whatever it was, it may hold packets
+                found.damaged_bytes += size
+                found.stream.append((start, size))
             at = start + size
-            if opcode == Opcode.DATA_END:
+            if intact and opcode == Opcode.DATA_END:
                 ended = True
                 break
         if ended:
@@ -272,29 +277,25 @@ def _read_end(found: _Examined, size: int) -> bool:
 
 
 def _take(found: _Examined, disk: _Disk, opcode: int, start: int, size: int) -> bool:
-    """Note a record; return False where the structure of the file is lost."""
+    """Note what is in a record; return False if it is damaged or not one of ours."""
     record = disk.read(start, size)
     if opcode == Opcode.CHUNK:
         if decode_chunk(memoryview(record)) is None:
-            if not _plausible(disk, start + size):
-                return False
-            found.damaged_bytes += size
-        found.stream.append((start + PAYLOAD_OFFSET, max(size - PAYLOAD_OFFSET, 0)))
+            return False
+        found.stream.append((start + PAYLOAD_OFFSET, size - PAYLOAD_OFFSET))
         return True
     try:
         if opcode == Opcode.ATTACHMENT:
             attachment = decode_attachment(record)
-            found.attachments[attachment.name] = attachment.data
             if attachment.name == DESCRIPTION:
                 found.description = msgspec.json.decode(attachment.data, type=Description)
+            found.attachments[attachment.name] = attachment.data
         elif opcode in _SMALL:
             decode(_SMALL[Opcode(opcode)], record[RECORD_HEAD.size :])
         else:
             return False
     except (RecordingError, msgspec.DecodeError):
-        if not _plausible(disk, start + size):
-            return False
-        found.damaged_bytes += size
+        return False
     return True
 
 

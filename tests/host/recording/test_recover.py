@@ -83,6 +83,24 @@ def test_a_damaged_chunk_loses_only_the_packet_that_was_hit(recorded: Make) -> N
     assert recovered_packets(result.path) == packets[:20] + packets[21:]
 
 
+def test_records_that_say_they_are_something_else(recorded: Make) -> None:
+    """A flipped bit in a record's kind: its packets are intact, so they come back."""
+    path, packets = recorded(chunk_bytes=700)
+    octets = path.read_bytes()
+    places = [octets.index(packet) - 80 for packet in packets]
+    chunks = [at for at in places if octets[at] == 6 and octets[at + 49] == 5]
+    assert len(chunks) > 5
+    records = [chunks[0], chunks[3], chunks[3] - 31, chunks[-1], chunks[-1] - 31]
+    assert [octets[at] for at in records] == [6, 6, 7, 6, 7]
+    for at in records:
+        for kind in {4, 6, 7, 0x0F, 0x80} - {octets[at]}:
+            path.write_bytes(octets[:at] + bytes([kind]) + octets[at + 1 :])
+            result = recover(path, overwrite=True)
+            assert result.outcome == Outcome.LOSSY
+            assert result.path is not None
+            assert recovered_packets(result.path) == packets
+
+
 def test_disks_with_bad_sectors(recorded: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     path, packets = recorded(400, chunk_bytes=6000)
     bad = range(8192, 12288)

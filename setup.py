@@ -3,6 +3,7 @@
 from setuptools import Extension, setup
 
 KERNELS = "host/hueflight/ingest"
+RECONSTRUCTION = "host/hueflight/reconstruction"
 
 setup(
     ext_modules=[
@@ -13,7 +14,20 @@ setup(
             extra_compile_args=["-O3"],
             py_limited_api=True,
             optional=True,  # without a compiler the NumPy twins take over
-        )
+        ),
+        Extension(
+            "hueflight.reconstruction._kernels",
+            sources=[f"{RECONSTRUCTION}/_kernels.c"],
+            depends=[
+                f"{RECONSTRUCTION}/_{name}.h"
+                for name in ("vector", "tables", "scoring", "search", "likelihood")
+            ],
+            # roots and logarithms need not set errno; compiled for three widths of vectors, whose
+            # passing between functions never leaves the file
+            extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
+            py_limited_api=True,
+            optional=True,  # without a compiler the definition in NumPy takes over
+        ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -15,7 +15,9 @@ from hueflight.calibration.delays import align, refined_delays
 from hueflight.calibration.shrinkage import shrunk
 from hueflight.calibration.templates import Templates
 from hueflight.calibration.waveforms import (
+    TrainModel,
     brightness_of,
+    shared_out,
     templates_from_bands,
     templates_from_train,
 )
@@ -98,12 +100,16 @@ def calibrate(
     if bands is not None:
         captures = resolved(_band_captures(bands, instrument, bins), instrument, bins)
 
-    def waveforms(delay_ns: NDArray[np.float64]) -> Templates:
-        if captures is None:
-            return templates_from_train(arrived, delay_ns, usable, windows, instrument, bins)
-        return templates_from_bands(captures, delay_ns, usable, windows, instrument, bins)
-
     delay_ns = np.where(usable, delay, 0.0) * (bins.span_ns / bins.count)
+    model: TrainModel = ([], 0.0)
+    if captures is None:
+        model = shared_out(arrived, delay_ns, usable, windows, instrument, bins)
+
+    def waveforms(delay_ns: NDArray[np.float64]) -> Templates:
+        if captures is not None:
+            return templates_from_bands(captures, delay_ns, usable, windows, instrument, bins)
+        return templates_from_train(arrived, delay_ns, usable, windows, model, instrument, bins)
+
     delay_ns, delay_std_ns = refined_delays(
         arrived, delay_ns, usable, waveforms(delay_ns), instrument, bins
     )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from hueflight.calibration.windows import PulseWindow
 from hueflight.instrument import Instrument
@@ -14,7 +14,8 @@ from hueflight.pulses import Pulse
 from hueflight.timebins import TimeBins
 
 STEP = 1e-5  #: of the numerical derivative, in the fit's own units
-MOST_EVALUATIONS = 25
+MOST_STEPS = 15
+SETTLED = 1e-4  #: share of the squares that a step must take off to be followed by another
 
 
 @dataclass(frozen=True)
@@ -61,32 +62,49 @@ def fit_train(
     def share(index: int, change: NDArray[np.float64]) -> NDArray[np.float64]:
         return start.pulse(index, change).share(bins.edges_ns, bins.period_ns)
 
-    def residual(changes: NDArray[np.float64]) -> NDArray[np.float64]:
-        pulses = sum(share(i, change) for i, change in enumerate(changes[:-1].reshape(size, 4)))
-        return (pulses + start.dark * np.exp(changes[-1]) * bins.widths_ns - counts) * scale
-
-    def jacobian(changes: NDArray[np.float64]) -> NDArray[np.float64]:
+    def model(changes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Weighted residual, and its derivative by every change."""
         slopes = np.empty((counts.size, changes.size))
+        dark = start.dark * np.exp(changes[-1]) * bins.widths_ns
+        total = dark - counts
         for i, change in enumerate(changes[:-1].reshape(size, 4)):
             here = share(i, change)
+            total = total + here
             for j in range(4):
                 slopes[:, 4 * i + j] = (share(i, change + STEP * np.eye(4)[j]) - here) / STEP
-        slopes[:, -1] = start.dark * np.exp(changes[-1]) * bins.widths_ns
-        return slopes * scale[:, None]
+        slopes[:, -1] = dark
+        return total * scale, slopes * scale[:, None]
 
     # within what a real pulse may do
     reach = np.append(np.tile([3.0, 2.5, 2.5, 2.5], size), 5.0)
-    found = least_squares(
-        residual,
-        np.zeros(reach.size),
-        jac=jacobian,
-        bounds=(-reach, reach),
-        xtol=1e-5,
-        max_nfev=MOST_EVALUATIONS,
-    ).x
+    found = _least_squares(model, reach)
     pulses = [start.pulse(i, change) for i, change in enumerate(found[:-1].reshape(size, 4))]
     bands = [window.band for window in windows]
     return list(zip(bands, pulses, strict=True)), start.dark * float(np.exp(found[-1]))
+
+
+def _least_squares(
+    model: Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]],
+    reach: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Parameters within ±reach with the least squares, by Levenberg's and Marquardt's steps."""
+    best = np.zeros(reach.size)
+    residual, slopes = model(best)
+    damping = 1e-3
+    for _ in range(MOST_STEPS):
+        normal, right = slopes.T @ slopes, slopes.T @ residual
+        scale = np.diag(np.maximum(np.diag(normal), 1e-12 * normal.trace()))
+        tried = np.clip(best - np.linalg.solve(normal + damping * scale, right), -reach, reach)
+        new_residual, new_slopes = model(tried)
+        gain = 1 - (new_residual @ new_residual) / (residual @ residual)
+        if gain > 0:
+            best, residual, slopes = tried, new_residual, new_slopes
+            damping /= 10
+            if gain < SETTLED:
+                break
+        else:
+            damping *= 10
+    return best
 
 
 def _first_guess(

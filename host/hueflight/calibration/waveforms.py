@@ -18,6 +18,8 @@ from hueflight.timebins import TimeBins
 
 KNOTS_PER_FWHM = 12  #: of the shortest pulse; finer knots only fit noise
 DELAY_STEPS_PER_BIN = 8  #: pixels whose delays round to the same step are pooled
+TrainModel = tuple[list[tuple[int, Pulse]], float]  #: (band, pulse) of each, background per ns
+
 NOISE_MARGIN = 4.0  #: a waveform ends where it is this many standard deviations above nothing
 
 
@@ -85,11 +87,27 @@ def templates_from_bands(
     return Templates.normalized(np.array(coefficients), circle_of(bins))
 
 
+def shared_out(
+    light: NDArray[np.floating],
+    delay_ns: NDArray[np.floating],
+    usable: NDArray[np.bool_],
+    windows: tuple[PulseWindow, ...],
+    instrument: Instrument,
+    bins: TimeBins,
+) -> TrainModel:
+    """The model by which light with all LEDs on, (row, col, bin), is shared out among bands."""
+    pool = Pool.of(light, delay_ns, usable, bins)
+    if len(instrument.bands) == 1:
+        return [], 0.0  # all light is the one band's
+    return fit_train(pool.aligned(pool.counts, bins), windows, instrument, bins)
+
+
 def templates_from_train(
     light: NDArray[np.floating],
     delay_ns: NDArray[np.floating],
     usable: NDArray[np.bool_],
     windows: tuple[PulseWindow, ...],
+    model: TrainModel,
     instrument: Instrument,
     bins: TimeBins,
 ) -> Templates:
@@ -105,7 +123,7 @@ def templates_from_train(
         name = instrument.bands[0].name
         fitted = _fit(pool, background, list(windows), bins, knots, name)
         return Templates.normalized(fitted, circle_of(bins))
-    pulses, level = fit_train(pool.aligned(pool.counts, bins), windows, instrument, bins)
+    pulses, level = model
     coefficients = []
     for band in range(len(instrument.bands)):
         mine = [window for window in windows if window.band == band]

@@ -1,36 +1,133 @@
-"""The joint fit, compiled where it can be: one function, checked here, the same either way."""
+"""The joint fit, compiled where it could be: one function, checked here, the same either way.
+
+The compiled kernel is taken where it was built and has room for the plan's bands;
+``HUEFLIGHT_KERNELS=numpy`` or ``=c`` chooses by hand.
+"""
 
 from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from typing import Any, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.errors import HueflightError
 from hueflight.reconstruction import fit as definition
 from hueflight.reconstruction.fit import DEFAULT, Fit, Switches
+from hueflight.reconstruction.packing import MOST_BANDS, PackedPlan, pack, rules
 from hueflight.reconstruction.plan import Plan
 
-TILE_PIXELS = 8192  #: pixels at once: bounds the memory that the definition takes
+TILE_PIXELS = 2048  #: pixels that one thread takes at a time
+
+_Kernel = Callable[..., None]
+_packed: WeakKeyDictionary[Plan, PackedPlan] = WeakKeyDictionary()
+
+
+def compiled_kernel() -> _Kernel | None:
+    """The compiled fit, or None where there is none."""
+    try:
+        return cast(_Kernel, import_module("hueflight.reconstruction._kernels").fit)
+    except ImportError:
+        return None
+
+
+def chosen_backend(bands: int) -> str:
+    """``"c"`` or ``"numpy"``.
+
+    Raises
+    ------
+    HueflightError
+        If HUEFLIGHT_KERNELS asks for what is not there.
+    """
+    wish = os.environ.get("HUEFLIGHT_KERNELS", "")
+    if wish not in ("", "c", "numpy"):
+        raise HueflightError(f"HUEFLIGHT_KERNELS = {wish!r}: must be 'c' or 'numpy'")
+    able = compiled_kernel() is not None and bands <= MOST_BANDS
+    if wish == "c" and not able:
+        raise HueflightError(
+            f"HUEFLIGHT_KERNELS = 'c', but there is no compiled fit for {bands} bands: install "
+            "with a C compiler, or leave the choice open"
+        )
+    return "c" if able and wish != "numpy" else "numpy"
 
 
 def fit_pixels(
-    light: NDArray[np.floating],
+    light: NDArray[Any],
     offsets_ns: NDArray[np.float64],
     plan: Plan,
     switches: Switches = DEFAULT,
+    *,
+    threads: int = 1,
 ) -> Fit:
-    """Fit pixels side by side; see `fit.fit`."""
-    tiles = [
-        definition.fit(
-            light[start : start + TILE_PIXELS],
-            offsets_ns[start : start + TILE_PIXELS],
-            plan,
-            switches,
+    """Fit pixels side by side; see `fit.fit`.
+
+    Parameters
+    ----------
+    threads : that share the pixels, tile by tile; the result does not depend on it.
+    """
+    bins = sum(view.bins.count for view in plan.views)
+    if light.ndim != 2 or light.shape[1] != bins or offsets_ns.shape != light.shape[:1]:
+        raise HueflightError(
+            f"light has shape {light.shape} and offsets {offsets_ns.shape}: the plan needs "
+            f"(pixel, {bins}) and (pixel,)"
         )
+    compiled = chosen_backend(plan.bands) == "c"
+    if compiled and light.dtype not in (np.uint16, np.uint32, np.float32):
+        light = light.astype(np.float32)
+
+    def fit_tile(tile: tuple[NDArray[Any], NDArray[np.float64]]) -> Fit:
+        return (_fit_compiled if compiled else definition.fit)(*tile, plan, switches)
+
+    tiles = [
+        (light[start : start + TILE_PIXELS], offsets_ns[start : start + TILE_PIXELS])
         for start in range(0, len(light), TILE_PIXELS)
-    ]
+    ] or [(light, offsets_ns)]
+    if threads > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            fits = list(pool.map(fit_tile, tiles))
+    else:
+        fits = [fit_tile(tile) for tile in tiles]
     return Fit(
         **{
-            name: np.concatenate([getattr(tile, name) for tile in tiles])
+            name: np.concatenate([getattr(part, name) for part in fits])
             for name in Fit.__dataclass_fields__
         }
     )
+
+
+def _fit_compiled(
+    light: NDArray[Any], offsets_ns: NDArray[np.float64], plan: Plan, switches: Switches
+) -> Fit:
+    kernel = compiled_kernel()
+    assert kernel is not None  # chosen_backend has seen to it
+    if plan not in _packed:
+        _packed[plan] = pack(plan)
+    packed = _packed[plan]
+    integers, reals = rules(plan, packed, switches)
+    sizes = np.array([view.bins.count for view in plan.views], np.int32)
+    pixels, bands = len(light), plan.bands
+    planes = [np.empty(pixels, np.float32) for _ in range(4)]
+    amplitudes, amplitude_std = (np.empty((pixels, bands), np.float32) for _ in range(2))
+    steps = np.empty(pixels, np.uint8)
+    delay, deviation, other, background = planes
+    fine, half, coarse = packed.fine, packed.half, packed.coarse
+    kernel(
+        light,
+        offsets_ns.astype(np.float32),
+        *(integers, reals, sizes),
+        *(fine.widths, fine.places, fine.owners, fine.data),
+        *(half.widths, half.places, half.owners, half.data),
+        *(coarse.spans, coarse.gains, coarse.costs),
+        *(coarse.owners, coarse.widths, coarse.shares),
+        *(delay, deviation, other, amplitudes, amplitude_std, background, steps),
+    )
+    wide = [
+        values.astype(np.float64)
+        for values in (delay, deviation, other, amplitudes, amplitude_std, background)
+    ]
+    return Fit(*wide, steps=steps)

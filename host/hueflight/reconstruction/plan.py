@@ -111,6 +111,8 @@ class Plan:
     fine, half : tables at the bin width of the result and at twice that.
     coarse : tables of the first search.
     search_ns : least and greatest delay against the reference.
+    fine_factor, half_factor, coarse_factor : bins that each one sums: the sensor's for the fine
+        level, fine ones for the others.
     spread_ns : standard deviation that one photon of a white target leaves to its delay.
     views : the schedules it is for.
     """
@@ -118,6 +120,9 @@ class Plan:
     coarse: Coarse
     half: Level
     fine: Level
+    fine_factor: int
+    half_factor: int
+    coarse_factor: int
     search_ns: tuple[float, float]
     spread_ns: float
     views: tuple[View, ...]
@@ -164,6 +169,9 @@ def make_plan(
         coarse=_coarse(views, *coarse_bins, delays_ns, step_ns, shortest_fwhm_ns, white),
         half=half_level,
         fine=fine_level,
+        fine_factor=fine,
+        half_factor=1 if half_level is fine_level else 2,
+        coarse_factor=coarse,
         search_ns=search_ns,
         spread_ns=_spread(fine_level, white),
         views=tuple(views),

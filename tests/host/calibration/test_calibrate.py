@@ -43,11 +43,11 @@ def test_templates_parted_from_the_whole_train_match_too(small, draw, tail_ns):
 @pytest.mark.parametrize("preset", ["paper", "fine"])
 def test_brightness_is_photons_per_frame_of_each_band(small, draw, preset):
     instrument = small(preset, rows=4, cols=4)
-    reference = draw(instrument, photons=40_000, background=4000, frames=1_000_000)
+    reference = draw(instrument, photons=40_000, background=4000, frames=10**8)
     known = np.linspace(0.5, 1.0, 9)
     calibration = hf.calibrate(reference, instrument, distance=0.5, reflectance=known)
     white = instrument.band_brightness()
-    expected = 40_000 * white / white.sum() / 1_000_000 / known
+    expected = 40_000 * white / white.sum() / 10**8 / known
     # the faintest band has 16 · 1800 photons beside background: 5 deviations are 4 %
     assert calibration.brightness == pytest.approx(expected, rel=0.04)
 

@@ -26,11 +26,12 @@ VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 STAMP = VENV / ".hueflight-setup"
 OLDEST_PYTHON = (3, 11)
+FIRST_PICTURE, EVERYTHING = "report", "dev"  #: extras of pyproject.toml
 
 
-def recipe_digest() -> str:
+def recipe_digest(extra: str) -> str:
     """Digest of everything the environment is made from."""
-    digest = hashlib.sha256(sys.version.encode())
+    digest = hashlib.sha256(f"{sys.version} {extra}".encode())
     for path in (ROOT / "pyproject.toml", ROOT / "constraints.txt", ROOT / "setup.py"):
         digest.update(path.read_bytes() if path.exists() else b"")
     for source in sorted((ROOT / "host").rglob("*.[ch]")):
@@ -38,18 +39,25 @@ def recipe_digest() -> str:
     return digest.hexdigest()
 
 
-def set_up() -> None:
-    """Make `.venv` with the project installed in place, unless it is there and current."""
-    if STAMP.exists() and STAMP.read_text() == recipe_digest():
+def set_up(extra: str) -> None:
+    """Make `.venv` with the project installed in place, unless it is there and current.
+
+    `extra` is what is needed: ``report`` for pictures, ``dev`` for all there is.
+    """
+    made_for = STAMP.read_text() if STAMP.exists() else ""
+    if made_for in (recipe_digest(extra), recipe_digest(EVERYTHING)):
         return
-    print("Setting up .venv (once; about a minute) ...", flush=True)
+    if made_for == recipe_digest(FIRST_PICTURE):
+        print("Adding what the tests need to .venv (once; a minute or two) ...", flush=True)
+    else:
+        print("Setting up .venv (once; about a minute) ...", flush=True)
     if not (BIN / "python").exists():
         shutil.rmtree(VENV, ignore_errors=True)
         venv.create(VENV, with_pip=True)
     pip = [str(BIN / "python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
     constraints = ["-c", str(ROOT / "constraints.txt")]
-    run([*pip, *constraints, "-e", f"{ROOT}[dev]"])
-    STAMP.write_text(recipe_digest())
+    run([*pip, *constraints, "-e", f"{ROOT}[{extra}]"])
+    STAMP.write_text(recipe_digest(extra))
 
 
 def run(command: list[str]) -> None:
@@ -100,7 +108,7 @@ def main() -> None:
     )
     parser.add_argument("command", choices=[*COMMANDS, "setup"])
     arguments, rest = parser.parse_known_args()
-    set_up()
+    set_up(FIRST_PICTURE if arguments.command == "demo" else EVERYTHING)
     if arguments.command != "setup":
         COMMANDS[arguments.command](rest)
 

@@ -37,7 +37,9 @@ class Daemon:
         )
         assert self.process.stderr is not None
         first = self.process.stderr.readline()
-        assert first.startswith("{"), first + self.process.stderr.read()
+        if not first.startswith("{"):
+            _, rest = self.process.communicate(timeout=PATIENCE_S)
+            raise AssertionError(first + rest)
         self.url = json.loads(first)["url"].rstrip("/")
 
     def get(self, path: str) -> Any:

@@ -19,12 +19,12 @@ from amaranth.hdl import (
 
 EDGE_HZ = 400e6
 PULSE_HZ = EDGE_HZ / 2
-SYNC_HZ = 100e6
+SYNC_HZ = 50e6
 _VCO_HZ = 800e6
 
 
 class Ecp5Clocks(Elaboratable):
-    """Domains `edge` (400 MHz), `pulse` (200 MHz) and `sync` (100 MHz).
+    """Domains `edge` (400 MHz), `pulse` (200 MHz) and `sync` (50 MHz).
 
     No domain has a reset. All clocks stand still until the PLL has locked, so that every
     register leaves its configured value on the same, clean edge.

@@ -17,6 +17,7 @@ from hueflight_protocol.control import (
     CONTROL_VERSION,
     IDENTITY_ADDRESS,
     IDENTITY_WORDS,
+    MAX_MESSAGE_BYTES,
     MAX_WORDS,
     MIN_MESSAGE_BYTES,
     RESPONSE_BIT,
@@ -113,7 +114,13 @@ class ControlEngine(wiring.Component):
         outgoing = Signal(8 * HEADER_BYTES)  # bytes to send, the next one lowest
         outgoing_left = Signal(range(HEADER_BYTES + 1))
         tail = Signal()  # the CRC is being sent
+        wrong_length = Signal()
         m.d.comb += writing.eq(header.op == Op.WRITE)
+        m.d.sync += wrong_length.eq(
+            (buffer.length < MIN_MESSAGE_BYTES)
+            | (buffer.length > MAX_MESSAGE_BYTES)
+            | (buffer.length[:2] != 0)
+        )
         m.d.sync += [
             dwell.eq(dwell + 1),
             self.begin.eq(0),
@@ -144,7 +151,7 @@ class ControlEngine(wiring.Component):
             with m.Case(_State.FRAME):
                 with m.If(waited == SNAPSHOT_CLOCKS - 1):
                     m.d.sync += [self.latched.eq(1), state.eq(_State.IDLE)]
-                    with m.If((buffer.length < MIN_MESSAGE_BYTES) | (buffer.length[:2] != 0)):
+                    with m.If(wrong_length):
                         m.d.comb += buffer.done.eq(1)
                         m.d.sync += self.framing_error.eq(1)
                     with m.Elif(~crc.match_detected):

@@ -7,8 +7,6 @@ from amaranth.lib import wiring
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
-from hueflight_protocol.control import MAX_MESSAGE_BYTES
-
 from .messages import request_stream
 
 _SLOT_BYTES = 512
@@ -18,7 +16,7 @@ SLOTS = 2
 class RequestBuffer(wiring.Component):
     """Two requests: one that is worked on, one that comes in.
 
-    What is bad, too long, or comes when both are taken, is dropped whole and reported.
+    What is bad, longer than a slot, or comes when both are taken, is dropped whole and reported.
 
     Members
     -------
@@ -60,15 +58,16 @@ class RequestBuffer(wiring.Component):
         lengths = [Signal(range(_SLOT_BYTES), name=f"length{i}") for i in range(SLOTS)]
         coming = Signal()  # slot that is written
         working = Signal()  # slot that is read
-        count = Signal(range(_SLOT_BYTES))
-        spoilt = Signal()  # too long, or no room
+        count = Signal(range(_SLOT_BYTES + 1))
+        overrun = Signal()
         beat = self.stream.payload
         full = Signal()
+        too_long = count[-1]  # the count stops there
         m.d.comb += [
             full.eq(taken.bit_select(coming, 1)),
-            save.addr.eq(Cat(count, coming)),
+            save.addr.eq(Cat(count[:-1], coming)),
             save.data.eq(beat.data),
-            save.en.eq(self.stream.valid & ~beat.end & ~full),
+            save.en.eq(self.stream.valid & ~beat.end & ~full & ~too_long),
             load.en.eq(1),
             load.addr.eq(Cat(self.index, working)),
             self.full.eq(taken.bit_select(working, 1)),
@@ -77,18 +76,19 @@ class RequestBuffer(wiring.Component):
         m.d.sync += [self.byte.eq(load.data), self.dropped.eq(0)]
         with m.If(self.stream.valid):
             with m.If(beat.end):
-                m.d.sync += [count.eq(0), spoilt.eq(0)]
-                with m.If(beat.bad | spoilt | full):
+                m.d.sync += [count.eq(0), overrun.eq(0)]
+                with m.If(beat.bad | overrun | full | too_long):
                     m.d.sync += self.dropped.eq(1)
                 with m.Else():
                     m.d.sync += [taken.bit_select(coming, 1).eq(1), coming.eq(~coming)]
-                    for slot in range(SLOTS):
-                        with m.If(coming == slot):
-                            m.d.sync += lengths[slot].eq(count)
-            with m.Elif(full | (count == MAX_MESSAGE_BYTES)):
-                m.d.sync += spoilt.eq(1)
             with m.Else():
-                m.d.sync += count.eq(count + 1)
+                m.d.sync += overrun.eq(overrun | full)
+                with m.If(~too_long):
+                    m.d.sync += count.eq(count + 1)
+        # of a slot that waits to be written, the length so far is as good as any
+        for slot in range(SLOTS):
+            with m.If((coming == slot) & ~full):
+                m.d.sync += lengths[slot].eq(count)
         with m.If(self.done):
             m.d.sync += [taken.bit_select(working, 1).eq(0), working.eq(~working)]
         return m

@@ -1,4 +1,4 @@
-"""A serial line, 8 data bits, no parity, one stop bit, up to a sixth of the clock.
+"""A serial line, 8 data bits, no parity, one stop bit, up to an eighth of the clock.
 
 The bit clock is an accumulator, so that any rate is met to better than one part in a thousand
 on average, and each edge to one clock.
@@ -16,7 +16,7 @@ from hueflight_protocol.errors import HueflightError
 from .cobs import LINE_BYTE
 
 _FRACTION_BITS = 20
-FEWEST_CLOCKS_PER_BIT = 6
+FEWEST_CLOCKS_PER_BIT = 8
 """Fewer clocks a bit leave no room for the receiver's three samples and its synchroniser."""
 
 
@@ -86,10 +86,11 @@ class UartReceiver(wiring.Component):
         payload = self.line.payload
         m.d.sync += [phase.eq(phase[:-1] + self.increment), self.line.valid.eq(0)]
         with m.If(idle):
-            m.d.sync += phase.eq(1 << _FRACTION_BITS - 1)
+            # half a bit to go, less the clock in which the start is noticed
+            m.d.sync += phase.eq((1 << _FRACTION_BITS - 1) + self.increment)
             with m.If(~level):
                 m.d.sync += [idle.eq(0), starting.eq(1), bits.eq(9)]
-        with m.Elif(phase[-1]):
+        with m.Elif(phase[-1] & (bits != 0)):
             with m.If(starting):
                 m.d.sync += [starting.eq(0), idle.eq(level)]  # a glitch is no start bit
             with m.Elif(bits != 1):

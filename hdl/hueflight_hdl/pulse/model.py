@@ -210,3 +210,32 @@ def _duty_allows(demand: np.ndarray, limits: Limits, *, lanes: int) -> np.ndarra
         level = min(max(level, 0), ceiling) + change
         allows[clock] = level <= threshold
     return allows
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a sequencer program.
+
+    Parameters
+    ----------
+    count : int
+        Units (trains, or frame syncs) for which it fires; 0 skips the step.
+    idle : int
+        Dark units after it.
+    choice : Choice
+        Bank, mask and marker while it fires.
+    """
+
+    count: int
+    idle: int
+    choice: Choice
+
+
+def program_units(program: Sequence[Step], /) -> list[Choice]:
+    """Return what each unit of one pass through a program has, in order."""
+    dark = Choice(0, mask=0, marker=0)
+    units: list[Choice] = []
+    for step in program:
+        if step.count:
+            units += [step.choice] * step.count + [dark] * step.idle
+    return units

@@ -10,14 +10,13 @@ from amaranth.lib.wiring import In, Out
 from .config import PulseConfig
 
 WORDS_PER_STEP = 4
-_LAST_BEAT = WORDS_PER_STEP  # the memory answers one clock after its address
 
 
 class _State(enum.Enum):
     END = 0
     SEEK = 1
     LOOK = 2
-    READ = 3
+    FETCH = 3
     CHECK = 4
     OFFER = 5
     WAIT = 6
@@ -79,50 +78,38 @@ class ProgramReader(wiring.Component):
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        attributes = {"ram_style": self.memory_style} if self.memory_style else {}
-        memory = Memory(
-            shape=32, depth=self.config.steps * WORDS_PER_STEP, init=[], attrs=attributes
-        )
-        m.submodules.memory = memory
-        store = memory.write_port(domain="sync")
-        load = memory.read_port(domain="pulse")
-        m.d.comb += [
-            store.en.eq(self.write),
-            store.addr.eq(self.address),
-            store.data.eq(self.word),
-            load.en.eq(1),
-        ]
-
         number = Signal(8)
         at_end = Signal()
-        beat = Signal(range(_LAST_BEAT + 1))
         nonzero = Signal(8)
         state = Signal(_State)
+        words = [self._memory(m, word, number) for word in range(WORDS_PER_STEP)]
+        setup, mask, count, idle = words
         m.d.pulse += [
             at_end.eq(number >= self.length),
             *(nonzero[i].eq(self.step.count[4 * i : 4 * i + 4].any()) for i in range(8)),
         ]
         with m.Switch(state):
-            with m.Case(_State.SEEK):  # `at_end` is up to date one clock later
+            with m.Case(_State.SEEK):  # `at_end` and the memories are one clock late
                 m.d.pulse += state.eq(_State.LOOK)
             with m.Case(_State.LOOK):
-                m.d.pulse += [beat.eq(0), load.addr.eq(number * WORDS_PER_STEP)]
                 with m.If(~at_end):
-                    m.d.pulse += state.eq(_State.READ)
+                    m.d.pulse += state.eq(_State.FETCH)
                 with m.Elif(self.loop):
                     m.d.pulse += [number.eq(0), state.eq(_State.SEEK)]
                 with m.Else():
                     m.d.pulse += [self.finished.eq(1), state.eq(_State.END)]
-            with m.Case(_State.READ):
-                m.d.pulse += [beat.eq(beat + 1), load.addr.eq(load.addr + 1)]
-                self._capture(m, beat, load.data)
-                with m.If(beat == _LAST_BEAT):
-                    m.d.pulse += [
-                        self.step.number.eq(number),
-                        number.eq(number + 1),
-                        state.eq(_State.CHECK),
-                    ]
-            with m.Case(_State.CHECK):  # so is `nonzero`
+            with m.Case(_State.FETCH):
+                m.d.pulse += [
+                    self.step.number.eq(number),
+                    self.step.bank.eq(setup[0]),
+                    self.step.marker.eq(setup[8:16]),
+                    self.step.mask.eq(mask),
+                    self.step.count.eq(count),
+                    self.step.idle.eq(idle),
+                    number.eq(number + 1),
+                    state.eq(_State.CHECK),
+                ]
+            with m.Case(_State.CHECK):  # `nonzero` is one clock late
                 m.d.pulse += state.eq(_State.OFFER)
             with m.Case(_State.OFFER):
                 m.d.pulse += self.ready.eq(nonzero.any())
@@ -139,13 +126,18 @@ class ProgramReader(wiring.Component):
             ]
         return m
 
-    def _capture(self, m: Module, beat: Signal, word: Signal) -> None:
-        fields = (
-            [self.step.bank.eq(word[0]), self.step.marker.eq(word[8:16])],
-            [self.step.mask.eq(word)],
-            [self.step.count.eq(word)],
-            [self.step.idle.eq(word)],
-        )
-        for index, assignments in enumerate(fields):
-            with m.If(beat == index + 1):
-                m.d.pulse += assignments
+    def _memory(self, m: Module, word: int, number: Signal) -> Signal:
+        """Return one of a step's words, one clock after the step's number."""
+        attributes = {"ram_style": self.memory_style} if self.memory_style else {}
+        memory = Memory(shape=32, depth=self.config.steps, init=[], attrs=attributes)
+        m.submodules[f"memory{word}"] = memory
+        store = memory.write_port(domain="sync")
+        load = memory.read_port(domain="pulse")
+        m.d.comb += [
+            store.en.eq(self.write & (self.address[:2] == word)),
+            store.addr.eq(self.address[2:]),
+            store.data.eq(self.word),
+            load.en.eq(1),
+            load.addr.eq(number),
+        ]
+        return load.data

@@ -98,27 +98,23 @@ class Sequencer(wiring.Component):
             darken.eq(unit & last & lit & has_idle),
             advance.eq(unit & last & ~(lit & has_idle)),
         ]
+        fewer = Signal(32)  # ready long before the next unit
+        m.d.pulse += fewer.eq(units - 1)
         with m.If(unit):
-            m.d.pulse += units.eq(units - 1)
+            m.d.pulse += units.eq(fewer)
         with m.If(darken):
             m.d.pulse += [phase.eq(_Phase.DARK), units.eq(self.idle_left), self.idle_left.eq(0)]
-        with m.If(advance):
-            m.d.pulse += phase.eq(_Phase.SEEK)
-
+        # the old choice stays in force until the next one is there, if it is at hand
         fresh = Signal()  # the program has not fired yet
         m.d.pulse += self.take.eq(0)
-        with m.Switch(phase):
-            with m.Case(_Phase.SEEK):
-                with m.If(self.take):
-                    m.d.pulse += fresh.eq(0)
-                    m.d.pulse += phase.eq(Mux(fresh & self.by_frame, _Phase.HOLD, _Phase.LIT))
-                with m.Elif(self.ready):
-                    m.d.pulse += self.take.eq(1)
-                with m.Elif(self.finished):
-                    m.d.pulse += phase.eq(_Phase.OFF)
-            with m.Case(_Phase.HOLD):
-                with m.If(self.frame):
-                    m.d.pulse += phase.eq(_Phase.LIT)
+        with m.If(advance & ~self.ready):
+            m.d.pulse += phase.eq(Mux(self.finished, _Phase.OFF, _Phase.SEEK))
+        with m.Elif((advance | (phase == _Phase.SEEK)) & self.ready & ~self.take):
+            m.d.pulse += self.take.eq(1)
+        with m.Elif((phase == _Phase.SEEK) & self.finished):
+            m.d.pulse += phase.eq(_Phase.OFF)
+        with m.Elif((phase == _Phase.HOLD) & self.frame):
+            m.d.pulse += phase.eq(_Phase.LIT)
         with m.If(self.take):
             m.d.pulse += [
                 bank.eq(self.step.bank),
@@ -127,6 +123,8 @@ class Sequencer(wiring.Component):
                 units.eq(self.step.count),
                 self.idle_left.eq(self.step.idle),
                 self.number.eq(self.step.number),
+                fresh.eq(0),
+                phase.eq(Mux(fresh & self.by_frame, _Phase.HOLD, _Phase.LIT)),
             ]
         m.d.comb += self.rewind.eq(self.start)
         with m.If(self.start):

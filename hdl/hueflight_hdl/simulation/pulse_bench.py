@@ -119,7 +119,7 @@ class PulseBench:
         clocks = len(stimulus.trigger) // lanes
         latency = PulseGenerator.latency
         records = self.simulation.inputs(clocks + latency)
-        self._set(records, "banks", _bits(self._banks_layout, _as_constants(stimulus.banks)))
+        self._set(records, "banks", bits(self.banks_layout, schedule_constants(stimulus.banks)))
         live = [self._live(stimulus, bank) for bank in range(2)]
         bank = np.zeros(clocks, int) if stimulus.bank is None else stimulus.bank
         bank = np.concatenate((bank, np.repeat(bank[-1:], latency)))
@@ -140,11 +140,12 @@ class PulseBench:
         return Outcome(levels[:, latency * lanes :])
 
     @property
-    def _banks_layout(self) -> data.Layout:
+    def banks_layout(self) -> data.Layout:
+        """Layout of the generator's port `banks`."""
         return data.ArrayLayout(self.config.bank_layout, 2)
 
     def _live(self, stimulus: Stimulus, bank: int) -> int:
-        return _bits(
+        return bits(
             LIVE_LAYOUT,
             {
                 "source": TriggerSource.EXTERNAL,
@@ -163,11 +164,13 @@ class PulseBench:
             part[:] = [value >> 32 * i & 0xFFFFFFFF for i in range(part.shape[1])]
 
 
-def _bits(layout: data.Layout, value: object) -> int:
+def bits(layout: data.Layout, value: object) -> int:
+    """Return a constant of a layout as the bits of a port."""
     return layout.const(value).as_value().value
 
 
-def _as_constants(banks: Sequence[Schedule]) -> list[dict[str, object]]:
+def schedule_constants(banks: Sequence[Schedule]) -> list[dict[str, object]]:
+    """Return schedules as constants of `PulseConfig.bank_layout`."""
     return [
         {
             "period": bank.period,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 from hueflight_hdl.pulse.config import Limits, PulseConfig
 from hueflight_hdl.pulse.model import Pulse, Schedule
 from hueflight_hdl.simulation.pulse_bench import PulseBench, Stimulus
-from hueflight_hdl.toolchain import find_tool
 
 # three channels: usual limits, tight ones, and none that matters
 SMALL_LIMITS = (Limits(), Limits(40, 4, 40), Limits(4000, 1, 4000))
@@ -22,11 +20,8 @@ def small_config(lanes: int) -> PulseConfig:
 
 
 @pytest.fixture(scope="session")
-def bench() -> Callable[[PulseConfig], PulseBench]:
-    """A bench for a configuration; skips where there are no tools, but never in CI."""
-    missing = [tool for tool in ("yosys", "c++") if find_tool(tool) is None]
-    if missing and not os.environ.get("CI"):
-        pytest.skip(f"{' and '.join(missing)} not found: pip install 'hueflight[bitstream]'")
+def bench(simulator: None) -> Callable[[PulseConfig], PulseBench]:
+    """A bench for a configuration, compiled once."""
     benches: dict[PulseConfig, PulseBench] = {}
 
     def make(config: PulseConfig) -> PulseBench:

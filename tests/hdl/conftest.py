@@ -1,0 +1,28 @@
+"""What every test of gateware needs: the tools, or a reason to skip."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from hueflight_hdl.toolchain import find_tool
+
+
+def need_tools(*tools: str) -> None:
+    """Skip where a tool is absent; in CI it must be there, and its absence is a failure."""
+    missing = [tool for tool in tools if find_tool(tool) is None]
+    if missing and not os.environ.get("CI"):
+        pytest.skip(f"{' and '.join(missing)} not found: pip install 'hueflight[bitstream]'")
+
+
+@pytest.fixture(scope="session")
+def simulator() -> None:
+    """Designs can be compiled for simulation."""
+    need_tools("yosys", "c++")
+
+
+@pytest.fixture(scope="session")
+def prover() -> None:
+    """Designs can be proved."""
+    need_tools("yosys", "sby", "smtbmc", "yices")

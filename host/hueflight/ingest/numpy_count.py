@@ -73,7 +73,7 @@ def count(
         first = chunk * run
         size = min(run, pixels - first)
         seen = _count_chunk(octets, entries[chunk, chosen], size, code_bits)
-        here = seen[:, 1:].sum(axis=1)
+        here = seen.sum(axis=1, dtype=np.intp) - seen[:, 0]
         seen[:, 0] = chosen.size - here
         for tile, at in enumerate(range(0, size, TILE)):
             part = slice(at, min(at + TILE, size))
@@ -91,31 +91,29 @@ def count(
 
 
 def _put(
-    rows: NDArray[np.unsignedinteger[Any]], seen: _Ints, mode: int, check: bool
+    rows: NDArray[np.unsignedinteger[Any]], seen: NDArray[np.uint16], mode: int, check: bool
 ) -> tuple[int, bool]:
     """Add to rows of the table; return clipped counts and whether a counter was too small."""
+    largest = rows.dtype.type(np.iinfo(rows.dtype).max)
     if mode == STORE:
         rows[...] = seen
     elif mode == SUBTRACT:
-        rows -= seen.astype(rows.dtype)
+        rows -= seen
+    elif mode == SATURATE:
+        taken = np.minimum(seen, largest - rows)
+        rows += taken
+        return int((seen - taken).sum(dtype=np.intp)), False
+    elif check and (seen > largest - rows).any():
+        return 0, True
     else:
-        largest = np.iinfo(rows.dtype).max
-        over = check and bool((rows > largest - seen).any()) if mode == ADD else False
-        if over:
-            return 0, True
-        if mode == ADD:
-            rows += seen.astype(rows.dtype)
-        else:
-            taken = np.minimum(seen, largest - rows.astype(np.intp))
-            rows += taken.astype(rows.dtype)
-            return int((seen - taken).sum()), False
+        rows += seen
     return 0, False
 
 
 def _count_chunk(
     octets: NDArray[np.uint8], entries: NDArray[np.uint64], pixels: int, code_bits: int
-) -> _Ints:
-    """Counts (pixel, code) of one chunk over all frames."""
+) -> NDArray[np.uint16]:
+    """Counts (pixel, code) of one chunk over all frames, at most `MOST_FRAMES`."""
     codes = 1 << code_bits
     offset = (entries & np.uint64(0xFFFF_FFFF)).astype(np.intp)
     hits = (entries >> np.uint64(HITS_SHIFT) & np.uint64(0xFFFF)).astype(np.intp)
@@ -129,7 +127,7 @@ def _count_chunk(
         or (offset + payload + SLACK > octets.size)[dense | sparse].any()
     ):
         raise ValueError("count: a chunk lies outside the data")
-    seen = np.zeros(pixels * codes, np.intp)
+    seen = np.zeros(pixels * codes, np.uint16)
     if dense.any():
         seen += _count_dense(octets, offset[dense], pixels, code_bits)
     if sparse.any():
@@ -144,25 +142,28 @@ def _gather(octets: NDArray[np.uint8], offset: _Ints, size: int) -> NDArray[np.u
     return anywhere[offset[:, None] + steps].view(np.uint8)
 
 
-def _count_dense(octets: NDArray[np.uint8], offset: _Ints, pixels: int, code_bits: int) -> _Ints:
+def _count_dense(
+    octets: NDArray[np.uint8], offset: _Ints, pixels: int, code_bits: int
+) -> NDArray[np.uint16]:
     """Counts (pixel × code,) of dense payloads: eight codes are `code_bits` bytes."""
     codes, groups = 1 << code_bits, -(-pixels // 8)
-    rows = _gather(octets, offset, groups * code_bits)
-    wide = np.zeros((len(offset), groups * code_bits + 4), np.uint8)
-    wide[:, : groups * code_bits] = rows[:, : groups * code_bits]
+    # a row more than there are frames: the last codes are read with some bytes behind them
+    rows = np.zeros((len(offset) + 1, padded(groups * code_bits, 8)), np.uint8)
+    rows[:-1] = _gather(octets, offset, groups * code_bits)
     index = np.empty((8, len(offset), groups), np.intp)
     base = np.arange(groups) * (8 * codes)
     for lane in range(8):
         byte, shift = divmod(lane * code_bits, 8)
         word = "<u2" if shift + code_bits <= 16 else "<u4"
-        values = np.ndarray((len(offset), groups), word, wide, byte, (wide.shape[1], code_bits))
+        values = np.ndarray((len(offset), groups), word, rows, byte, (rows.shape[1], code_bits))
         np.add(values >> shift & (codes - 1), base + lane * codes, out=index[lane])
-    return np.bincount(index.reshape(-1), minlength=groups * 8 * codes)[: pixels * codes]
+    counts = np.bincount(index.reshape(-1), minlength=groups * 8 * codes)
+    return counts[: pixels * codes].astype(np.uint16)
 
 
 def _count_sparse(
     octets: NDArray[np.uint8], offset: _Ints, hits: _Ints, pixels: int, code_bits: int
-) -> _Ints:
+) -> NDArray[np.uint16]:
     """Counts (pixel × code,) of bitmap payloads."""
     codes, map_bytes = 1 << code_bits, -(-pixels // 8)
     bits = np.unpackbits(_gather(octets, offset, map_bytes), axis=1, bitorder="little")
@@ -178,4 +179,5 @@ def _count_sparse(
     place += np.repeat(8 * (offset + map_bytes) - first * code_bits, ones)
     anywhere = np.ndarray(octets.size - 3, "<u4", octets, strides=(1,))
     code = anywhere[place >> 3] >> (place & 7).astype(np.uint32) & np.uint32(codes - 1)
-    return np.bincount((pixel - frame_start) * codes + code, minlength=pixels * codes)
+    index = (pixel - frame_start) * codes + code
+    return np.bincount(index, minlength=pixels * codes).astype(np.uint16)

@@ -96,8 +96,9 @@ class Table:
         self._unwritten = [] if out is not None else [(0, rows)]
         fresh = np.empty(shape, np.uint16) if reuse is None else reuse
         self.counts: Counts = fresh if out is None else out
-        # no counter is larger than this; while it and the new frames fit, nothing is checked
-        self._largest = 0 if out is None or not out.size else int(out.max())
+        # no counter is larger than this; while it and the new frames fit, nothing is checked;
+        # of counts from elsewhere it is not known
+        self._largest = 0 if out is None else int(np.iinfo(out.dtype).max)
         self.photons = 0
         self.clipped = 0
 

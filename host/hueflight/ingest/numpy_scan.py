@@ -85,6 +85,8 @@ class _Stream:
 
     def find(self, pattern: bytes, at: int) -> int:
         """First place of `pattern` from `at` on, or of its start that the end cuts."""
+        if self.view[at : at + len(pattern)] == pattern:
+            return at
         step = 1 << 16  # searched in pieces, so that damage in a large buffer stays cheap
         while at < self.size:
             piece = bytes(self.view[at : at + step + len(pattern) - 1])

@@ -17,7 +17,11 @@ from hueflight.batch.job import Job, Outcome, work
 from hueflight.errors import BatchError
 
 # numerical libraries would start a thread per core in every worker
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD: dict[str, str] = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
 
 
 @dataclass

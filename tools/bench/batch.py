@@ -43,8 +43,9 @@ def main() -> None:
             start = time.perf_counter()
             report = reconstruct_many(paths, f"{folder}/{workers}", workers=workers, **common)
             runs.append((f"{workers} local", time.perf_counter() - start, report))
+        # port 0: any that is free
         with distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
         ) as cluster:
             start = time.perf_counter()
             address = str(getattr(cluster, "scheduler_address"))  # noqa: B009 - untyped there

@@ -21,6 +21,7 @@ import time
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from hueflight_protocol.wire import CHUNK_WORD, FRAME_HEADER, MAGIC
 ROOT = Path(__file__).resolve().parent.parent.parent
 INGEST = ROOT / "host" / "hueflight" / "ingest"
 BUILD = ROOT / "build" / "fuzz"
-CORPUS = Path(__file__).parent / "corpus"
+CORPUS = Path(__file__).with_name("corpus.zip")
 REPORTED = ("packets", "frames", "aborted", "repeated", "damaged", "skipped_bytes", "missing")
 REPORTED += ("restarts", "dropped", "dropped_before")
 Geometry = tuple[int, int, int]
@@ -201,17 +202,17 @@ def compare_with_parser(said: list[Any], data: bytes, geometry: Geometry) -> Non
         raise SystemExit(f"the reference parser differs: {geometry=} data={data.hex()}")
 
 
-def replay(c: Any, folder: Path) -> int:
-    """All inputs of a corpus, which start with four bytes of options."""
+def replay(c: Any, corpus: Path) -> int:
+    """All inputs of a corpus, which start with four bytes of options (see kernels.c)."""
     geometries = [(1, 1, 1), (3, 5, 9), (8, 8, 9), (1, 2, 13), (10, 13, 8), (5, 64, 7)]
     geometries += [(32, 32, 4), (256, 8, 2)]
-    files = sorted(folder.iterdir())
-    for file in files:
-        data = file.read_bytes()
+    with ZipFile(corpus) as kept:
+        inputs = [kept.read(name) for name in kept.namelist()]
+    for data in inputs:
         if len(data) > 4:
             limit = 1 + data[2] % 7
             compare(c, data[4:], geometries[data[0] % 8], bool(data[1] & 1), limit)
-    return len(files)
+    return len(inputs)
 
 
 def fuzz(c: Any, seconds: float, seed: int) -> int:
@@ -240,7 +241,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--corpus", action="store_true", help="replay tools/fuzz/corpus first")
+    parser.add_argument("--corpus", action="store_true", help="replay tools/fuzz/corpus.zip first")
     parser.add_argument("--sanitize", action="store_true", help="build with ASan and UBSan")
     parser.add_argument("--library", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()

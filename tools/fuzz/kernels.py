@@ -2,9 +2,9 @@
 
     python3 tools/dev.py run python tools/fuzz/kernels.py --seconds 60
 
-Needs clang. New inputs go to build/fuzz/kernels; ``--minimize`` keeps in tools/fuzz/corpus those
-that between them reach everything that any input reaches. A finding ends the run with its input
-and a trace.
+Needs clang. New inputs go to build/fuzz/kernels; ``--minimize`` keeps those in
+tools/fuzz/corpus.zip that between them reach everything that any input reaches. A finding ends the
+run with its input and a trace.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import argparse
 import shutil
 import subprocess
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from hueflight_protocol import Event, PacketHeader, encode_event, encode_frame
 ROOT = Path(__file__).resolve().parent.parent.parent
 SOURCE = Path(__file__).with_suffix(".c")
 HEADERS = ROOT / "host" / "hueflight" / "ingest"
-CORPUS = SOURCE.parent / "corpus"
+CORPUS = SOURCE.with_name("corpus.zip")
 BUILD = ROOT / "build" / "fuzz"
 LONGEST = 4096  # bytes of an input
 # as in kernels.c
@@ -83,23 +84,26 @@ def main() -> None:
     program = build()
     found = BUILD / "kernels"
     write_seeds(found)
-    CORPUS.mkdir(exist_ok=True)
+    if CORPUS.exists():
+        with ZipFile(CORPUS) as kept:
+            kept.extractall(found)
     limits = [f"-max_len={LONGEST}", "-use_value_profile=1", "-print_final_stats=1"]
     if arguments.seconds:
         time = f"-max_total_time={arguments.seconds}"
         artifacts = f"-artifact_prefix={BUILD}/"
-        command = [program, time, *limits, artifacts, found, CORPUS]
+        command = [program, time, *limits, artifacts, found]
         subprocess.run([str(word) for word in command], check=True)
     if arguments.minimize:
         fresh = BUILD / "minimal"
         shutil.rmtree(fresh, ignore_errors=True)
         fresh.mkdir()
-        command = [program, "-merge=1", limits[0], fresh, found, CORPUS]
+        command = [program, "-merge=1", limits[0], fresh, found]
         subprocess.run([str(word) for word in command], check=True)
-        shutil.rmtree(CORPUS)
-        shutil.copytree(fresh, CORPUS)
-        size = sum(file.stat().st_size for file in CORPUS.iterdir())
-        print(f"{len(list(CORPUS.iterdir()))} inputs of {size} bytes kept in {CORPUS}")
+        files = sorted(fresh.iterdir())
+        with ZipFile(CORPUS, "w", ZIP_DEFLATED) as kept:
+            for file in files:
+                kept.writestr(ZipInfo(file.name), file.read_bytes(), ZIP_DEFLATED)
+        print(f"{len(files)} inputs kept in {CORPUS}, {CORPUS.stat().st_size} bytes")
 
 
 if __name__ == "__main__":

@@ -236,7 +236,7 @@ class RegisterFile(wiring.Component):
             mask.eq(Array(Const(value, WORD_BITS) for value in masks)[attributes.mask]),
             self.word.eq(Mux(attributes.kept, kept, live)),
         ]
-        self._windows(m)
+        self._windows(m, mask)
 
         # writes: masked, kept for reading back, and announced
         # (what does not exist or can't be written never comes here)
@@ -289,7 +289,7 @@ class RegisterFile(wiring.Component):
             m.d.sync += held.eq(before[-1])
         return held
 
-    def _windows(self, m: Module) -> None:
+    def _windows(self, m: Module, mask: Signal) -> None:
         """Look up registers that the design keeps in memories of its own."""
         for name in self.windows:
             register = self.registers[name]
@@ -309,6 +309,7 @@ class RegisterFile(wiring.Component):
                 m.d.sync += [
                     self.exists.eq(1),
                     self.writable.eq(1),
+                    mask.eq(_mask(register, 0)),
                     self.word.eq(getattr(self, f"{name}_word")),
                 ]
 

@@ -22,6 +22,8 @@ GROUP = 8
 """Codes in a group: at every width they fill whole bytes."""
 LANES = (1, 2, 4, 8)
 BANKS = (2, 4, 8, 16)
+WRITE_LATENCY = 16
+"""Clocks from a chunk's last beat until it can be read, at most."""
 
 
 class FormatError(HueflightError):
@@ -133,7 +135,7 @@ class FrameFormat:
         comes = chunk.beats
         goes = max(1 + chunk.groups, chunk.dense_bytes / 8 + 0.5)  # half a word is no word
         behind = self.chunks * max(0.0, goes - comes) / goes
-        return min(self.banks, ceil(behind) + 2)
+        return min(self.banks, ceil(behind + WRITE_LATENCY / comes + 1))
 
     @property
     def bank_groups(self) -> int:

@@ -26,8 +26,8 @@ class PixelMask(wiring.Component):
     """
 
     def __init__(self, form: FrameFormat) -> None:
-        self.words = -(-form.pixels // MASK_WORD)
-        bits = ceil_log2(self.words)
+        bits = ceil_log2(-(-form.pixels // MASK_WORD))
+        self.words = 1 << bits
         super().__init__(
             {
                 "write": In(1),

@@ -124,7 +124,7 @@ class Messenger(wiring.Component):
         with m.If(self.status):
             m.d.sync += status_waits.eq(1)
         with m.If(self.test):
-            m.d.sync += test_waits.eq(self.words != 0)
+            m.d.sync += test_waits.eq(1)
         counts, values = self._told(m, taken)
 
         # one word is made while the one before waits
@@ -153,6 +153,8 @@ class Messenger(wiring.Component):
                 with m.Elif(status_waits):
                     m.d.sync += [kind.eq(_Kind.STATUS), status_waits.eq(0)]
                     m.next = "HEADER"
+                with m.Elif(test_waits & (self.words == 0)):
+                    m.d.sync += test_waits.eq(0)
                 with m.Elif(test_waits):
                     m.d.sync += [
                         kind.eq(_Kind.TEST),

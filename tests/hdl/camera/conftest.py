@@ -1,11 +1,10 @@
 """Drives a formatter clock by clock, in Amaranth's simulator."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
-from amaranth.lib import wiring
 from amaranth.sim import Simulator
 
 from hueflight_hdl.frame.filter import MASK_WORD
@@ -37,22 +36,11 @@ def draw_codes() -> Callable[..., np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def cxxrtl() -> Iterator[Callable[..., Any]]:
-    """Function that compiles a component and returns it running."""
+def cxxrtl_tools() -> None:
+    """What compiled simulation needs; tests that use it skip, saying so, without it."""
     missing = [tool for tool in ("yosys", "c++") if find_tool(tool) is None]
     if missing:
         pytest.skip(f"{' and '.join(missing)} not installed: no compiled simulation")
-    from hueflight_hdl.simulation.cxxrtl import simulate
-
-    running = []
-
-    def start(component: wiring.Component, **options: Any) -> Any:
-        running.append(simulate(component, **options))
-        return running[-1]
-
-    yield start
-    for simulation in running:
-        simulation.close()
 
 
 def _step_through(

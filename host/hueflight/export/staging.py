@@ -10,6 +10,7 @@ import errno
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -20,6 +21,7 @@ from hueflight.errors import ExportError
 from hueflight.export.seal import SEAL
 
 LITTLE_BYTES = 1 << 20  #: a disk with less room than this counts as full
+DISCARD_TRIES = 50  #: a second in all
 PARTIAL_SUFFIX = ".partial"  #: ends the names of folders that hold unfinished work
 
 
@@ -60,7 +62,7 @@ def staged(target: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     except OSError as error:
         raise _explained(target, error) from error
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        _discard(folder)
 
 
 def optional(module: str, *, extra: str = "export") -> Any:
@@ -78,6 +80,15 @@ def optional(module: str, *, extra: str = "export") -> Any:
         raise ExportError(
             f"this needs the package {package!r}: pip install 'hueflight[{extra}]' ({error})"
         ) from None
+
+
+def _discard(folder: Path) -> None:
+    """Remove a folder, though a library's own threads may still be writing into it."""
+    for _ in range(DISCARD_TRIES):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not folder.exists():
+            return
+        time.sleep(0.02)
 
 
 def _refuse_existing(target: Path, *, overwrite: bool) -> None:

@@ -256,6 +256,8 @@ def _examine(path: Path) -> _Examined:
             if intact and opcode == Opcode.DATA_END:
                 ended = True
                 break
+        # a file that stops right behind the stream has lost its index, and with it its end
+        ended = ended and at < disk.size
         if ended:
             found.last = _read_end(found, disk.size - at)
         elif at < disk.size:

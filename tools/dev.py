@@ -26,7 +26,7 @@ VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 STAMP = VENV / ".hueflight-setup"
 OLDEST_PYTHON = (3, 11)
-FIRST_PICTURE, EVERYTHING = "report", "dev"  #: extras of pyproject.toml
+FIRST_PICTURE, EVERYTHING = "report,export,daemon", "dev"  #: extras of pyproject.toml
 
 
 def recipe_digest(extra: str) -> str:
@@ -42,7 +42,7 @@ def recipe_digest(extra: str) -> str:
 def set_up(extra: str) -> None:
     """Make `.venv` with the project installed in place, unless it is there and current.
 
-    `extra` is what is needed: ``report`` for pictures, ``dev`` for all there is.
+    `extra` is what is needed: enough for what the README shows, or ``dev`` for all there is.
     """
     made_for = STAMP.read_text() if STAMP.exists() else ""
     if made_for in (recipe_digest(extra), recipe_digest(EVERYTHING)):

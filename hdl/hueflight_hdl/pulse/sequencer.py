@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 from amaranth.hdl import Module, Mux, Signal
-from amaranth.lib import enum, wiring
+from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
 from .config import PulseConfig
 from .program import step_layout
-
-
-class _Phase(enum.Enum):
-    OFF = 0
-    SEEK = 1  # no step at hand: dark
-    HOLD = 2  # dark until the first frame sync
-    LIT = 3
-    DARK = 4  # the step's idle time
 
 
 class Sequencer(wiring.Component):
@@ -75,46 +67,47 @@ class Sequencer(wiring.Component):
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        phase = Signal(_Phase)
-        bank = Signal()
-        mask = Signal(self.config.channels)
-        marker = Signal(8)
+        # what the program is doing, one bit each; none of the last four is manual
+        seek = Signal()  # no step at hand: dark
+        hold = Signal()  # dark until the first frame sync
+        lit = Signal()
+        dark = Signal()  # the step's idle time
+        running = Signal()
+
+        # a unit has passed: is it the step's dark part that comes, or the next step? Units are
+        # `MIN_SPACING` clocks apart, so the answer may take a few.
         units = Signal(32)
+        fewer = Signal(32)
+        has_idle = Signal()
         counting = Signal()  # trains of the present choice are units
         unit = Signal()
-        last = self._is_last(m, units)
-        has_idle = Signal()
-        m.d.pulse += [
-            has_idle.eq(self.idle_left.any()),
-            unit.eq(counting & Mux(self.by_frame, self.frame, self.served)),
-        ]
-
-        # a unit has passed: the next one, the step's dark part, or the next step. Units are
-        # `MIN_SPACING` clocks apart, so this may take several.
         darken = Signal()
         advance = Signal()
-        lit = phase == _Phase.LIT
+        last = self._is_last(m, units)
         m.d.pulse += [
+            fewer.eq(units - 1),
+            has_idle.eq(self.idle_left.any()),
+            unit.eq(counting & Mux(self.by_frame, self.frame, self.served)),
             darken.eq(unit & last & lit & has_idle),
             advance.eq(unit & last & ~(lit & has_idle)),
         ]
-        fewer = Signal(32)  # ready long before the next unit
-        m.d.pulse += fewer.eq(units - 1)
         with m.If(unit):
             m.d.pulse += units.eq(fewer)
         with m.If(darken):
-            m.d.pulse += [phase.eq(_Phase.DARK), units.eq(self.idle_left), self.idle_left.eq(0)]
-        # the old choice stays in force until the next one is there, if it is at hand
-        fresh = Signal()  # the program has not fired yet
-        m.d.pulse += self.take.eq(0)
-        with m.If(advance & ~self.ready):
-            m.d.pulse += phase.eq(Mux(self.finished, _Phase.OFF, _Phase.SEEK))
-        with m.Elif((advance | (phase == _Phase.SEEK)) & self.ready & ~self.take):
-            m.d.pulse += self.take.eq(1)
-        with m.Elif((phase == _Phase.SEEK) & self.finished):
-            m.d.pulse += phase.eq(_Phase.OFF)
-        with m.Elif((phase == _Phase.HOLD) & self.frame):
-            m.d.pulse += phase.eq(_Phase.LIT)
+            m.d.pulse += [units.eq(self.idle_left), self.idle_left.eq(0)]
+
+        # the next step; the old choice stays in force until it is there, if it is at hand
+        bank = Signal()
+        mask = Signal(self.config.channels)
+        marker = Signal(8)
+        lost = Signal()
+        over = Signal()
+        wanted = advance | seek
+        m.d.pulse += [
+            self.take.eq(wanted & self.ready & ~self.take),
+            lost.eq(advance & ~self.ready & ~self.finished),
+            over.eq(wanted & self.finished),
+        ]
         with m.If(self.take):
             m.d.pulse += [
                 bank.eq(self.step.bank),
@@ -123,25 +116,37 @@ class Sequencer(wiring.Component):
                 units.eq(self.step.count),
                 self.idle_left.eq(self.step.idle),
                 self.number.eq(self.step.number),
-                fresh.eq(0),
-                phase.eq(Mux(fresh & self.by_frame, _Phase.HOLD, _Phase.LIT)),
             ]
+
+        fresh = Signal()  # the program has not fired yet
+        waits = Signal()  # so that it begins with a frame sync
+        left_off = lost | over
+        m.d.pulse += [
+            fresh.eq(fresh & ~self.take),
+            waits.eq(fresh & self.by_frame),
+            seek.eq(lost | (seek & ~self.take & ~over)),
+            hold.eq((self.take & waits) | (hold & ~self.frame)),
+            lit.eq((self.take & ~waits) | (hold & self.frame) | (lit & ~darken & ~left_off)),
+            dark.eq(darken | (dark & ~self.take & ~left_off)),
+            running.eq(running & ~over),
+        ]
         m.d.comb += self.rewind.eq(self.start)
-        with m.If(self.start):
-            m.d.pulse += [phase.eq(_Phase.SEEK), fresh.eq(1), self.take.eq(0)]
-        with m.Elif(self.stop):
-            m.d.pulse += [phase.eq(_Phase.OFF), self.take.eq(0)]
         with m.If(self.start | self.stop):
-            m.d.pulse += [unit.eq(0), darken.eq(0), advance.eq(0)]
+            m.d.pulse += [
+                *(event.eq(0) for event in (unit, darken, advance, self.take, lost, over)),
+                *(state.eq(0) for state in (hold, lit, dark)),
+                seek.eq(self.start),
+                running.eq(self.start),
+                fresh.eq(self.start),
+            ]
 
         # the choice
-        manual = phase == _Phase.OFF
         m.d.pulse += [
-            self.bank.eq(Mux(manual, self.manual_bank, bank)),
-            self.mask.eq(Mux(manual, -1, Mux(lit, mask, 0))),
+            self.bank.eq(Mux(running, bank, self.manual_bank)),
+            self.mask.eq(Mux(running, Mux(lit, mask, 0), -1)),
             self.marker.eq(Mux(lit, marker, 0)),
-            self.running.eq(~manual),
-            counting.eq(lit | (phase == _Phase.DARK)),
+            self.running.eq(running),
+            counting.eq(lit | dark),
         ]
         m.d.comb += self.left.eq(Mux(self.running, units, 0))
         return m

@@ -1,0 +1,34 @@
+"""A small illuminator in simulation, and the host's driver on its serial pins."""
+
+from __future__ import annotations
+
+import pytest
+
+from hueflight.devices.illuminator import Illuminator
+from hueflight.devices.serial_line import SerialTransport
+from hueflight_hdl.designs.illuminator import IlluminatorConfig
+from hueflight_hdl.gearing.ecp5 import Ecp5Gearing
+from hueflight_hdl.pulse.config import PulseConfig
+from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
+
+# a fast line, so that little is simulated for each byte; a clock so slow that milliseconds pass
+SMALL = IlluminatorConfig(
+    pulse=PulseConfig(channels=3, pulses=2, steps=4), pulse_hz=20e6, baud=1.25e6, serial=0xBEEF
+)
+WAIT_S = 60.0  # of the computer's time, which says nothing of the board's
+
+
+@pytest.fixture(scope="module")
+def bench(simulator: None) -> IlluminatorBench:
+    return IlluminatorBench(SMALL, Ecp5Gearing())
+
+
+@pytest.fixture
+def driver(bench: IlluminatorBench) -> Illuminator:
+    bench.trigger = None
+    bench.frame_sync = None
+    driver = Illuminator(SerialTransport(bench), timeout_s=WAIT_S)
+    driver.disarm()
+    driver.stop(timeout_s=WAIT_S)
+    driver.clear()
+    return driver

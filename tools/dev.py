@@ -79,7 +79,7 @@ def test(arguments: list[str]) -> None:
     run([str(BIN / "ruff"), "check", "."])
     run([str(BIN / "basedpyright"), "--level", "error"])
     workers = ["-n", str(os.cpu_count() or 1), "--dist", "loadfile"]
-    run([str(BIN / "pytest"), *workers, *(["--full"] if full else []), *chosen])
+    run([str(BIN / "pytest"), *workers, *(["--full", "--durations=30"] if full else []), *chosen])
 
 
 def bench(arguments: list[str]) -> None:

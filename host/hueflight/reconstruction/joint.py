@@ -96,8 +96,6 @@ def estimate(
     depth_range : depths to search, m; default half the pulses' spacing about the reference.
     switches : what may be skipped.
     """
-    rows, cols, _ = light.shape
-    bands = len(calibration.instrument.bands)
     search_ns = search_range_ns(calibration, depth_range)
     plan = plan_for(calibration, search_ns)
     photons = light.sum(axis=-1, dtype=np.float64)
@@ -109,6 +107,40 @@ def estimate(
         seen = unshadowed(seen, rate)
     seen = resolved(seen, calibration.instrument, calibration.bins)
     found = fit_pixels(seen, calibration.pixel_delay_ns[chosen], plan, switches)
+    return in_metres(
+        found,
+        chosen,
+        photons,
+        frames,
+        calibration,
+        search_ns=search_ns,
+        range_correction=range_correction,
+        pileup_correction=pileup_correction,
+    )
+
+
+def in_metres(
+    found: Fit,
+    chosen: NDArray[np.bool_],
+    photons: NDArray[np.float64],
+    frames: NDArray[np.float64] | None,
+    calibration: Calibration,
+    *,
+    search_ns: tuple[float, float],
+    range_correction: bool,
+    pileup_correction: bool,
+) -> Estimates:
+    """Image of fitted pixels: delays as depth, photons as reflectance, doubts as flags.
+
+    Parameters
+    ----------
+    found : fit of the chosen pixels, in order.
+    chosen : (row, col) pixels that were fitted.
+    photons, frames : (row, col) counts and exposures behind them.
+    search_ns : delays that were searched; the rest as in `estimate`.
+    """
+    rows, cols = photons.shape
+    usable = calibration.usable
 
     def plane(values: NDArray[np.floating]) -> NDArray[np.float64]:
         filled = np.full((*values.shape[1:], rows, cols), np.nan)
@@ -134,7 +166,6 @@ def estimate(
     reflectance, deviation = gain * plane(found.amplitudes), gain * plane(found.amplitude_std)
     for values in (depth, depth_std, other, *reflectance, *deviation):
         values[starved] = np.nan
-    assert reflectance.shape == (bands, rows, cols)
     return Estimates(
         depth=depth,
         depth_std=depth_std,

@@ -93,6 +93,7 @@ def _light_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
         "levels": Out(data.ArrayLayout(lanes, config.pulse.channels)),
         "trigger_out": Out(lanes),
         "marker": Out(8),
+        "missed": Out(1),
         "armed": Out(1),
     }
 
@@ -112,6 +113,8 @@ class IlluminatorCore(wiring.Component):
         For each channel, `lanes` ticks.
     trigger_out : Out(lanes)
     marker : Out(8)
+    missed : Out(1)
+        A trigger was ignored; for the camera.
     armed : Out(1)
         LEDs may be on; in the domain `pulse`.
     """
@@ -152,6 +155,7 @@ class IlluminatorCore(wiring.Component):
             self.levels.eq(generator.levels),
             self.trigger_out.eq(generator.trigger_out),
             self.marker.eq(generator.marker),
+            self.missed.eq(generator.missed),
             self.armed.eq(generator.lit),
         ]
         return m

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
@@ -20,6 +20,8 @@ from .train import Train
 from .trigger import ExternalTrigger, InternalTrigger
 
 COUNTERS = ("seen", "served", "ignored", "restarts", "swaps")
+
+MISSED_CLOCKS = 16
 
 LIVE_LAYOUT = data.StructLayout(
     {
@@ -98,6 +100,8 @@ class PulseGenerator(wiring.Component):
     trigger_out : Out(lanes)
     marker : Out(8)
         Of the running train.
+    missed : Out(1)
+        A trigger was ignored; lasts `MISSED_CLOCKS`, for a camera with a slower clock.
     lit : Out(1)
         Armed, as the outputs see it: in its clock the levels may be on.
     bank, running : Out(1)
@@ -129,6 +133,7 @@ class PulseGenerator(wiring.Component):
                 "levels": Out(data.ArrayLayout(config.lanes, config.channels)),
                 "trigger_out": Out(config.lanes),
                 "marker": Out(8),
+                "missed": Out(1),
                 "lit": Out(1),
                 "bank": Out(1),
                 "running": Out(1),
@@ -149,7 +154,10 @@ class PulseGenerator(wiring.Component):
         self._program(m, train, sequencer)
         on_limited, duty_limited = self._channels(m, train)
         self._trigger_out(m, train)
+        missed_before = Signal(MISSED_CLOCKS)
         m.d.pulse += [
+            missed_before.eq(Cat(train.ignored, missed_before)),
+            self.missed.eq(missed_before.any()),
             self.marker.eq(train.marker_out),
             self.bank.eq(train.train.bank),
             self.running.eq(sequencer.running),

@@ -15,11 +15,12 @@ WORDS_PER_STEP = 4
 class _State(enum.Enum):
     END = 0
     SEEK = 1
-    LOOK = 2
-    FETCH = 3
-    CHECK = 4
-    OFFER = 5
-    WAIT = 6
+    LOAD = 2
+    LOOK = 3
+    FETCH = 4
+    CHECK = 5
+    OFFER = 6
+    WAIT = 7
 
 
 def step_layout(config: PulseConfig) -> data.StructLayout:
@@ -82,14 +83,19 @@ class ProgramReader(wiring.Component):
         at_end = Signal()
         nonzero = Signal(8)
         state = Signal(_State)
-        words = [self._memory(m, word, number) for word in range(WORDS_PER_STEP)]
+        # memories made of LUTs spread wide: their address is a register of nothing else
+        address = Signal(range(self.config.steps))
+        words = [self._memory(m, word, address) for word in range(WORDS_PER_STEP)]
         setup, mask, count, idle = words
         m.d.pulse += [
+            address.eq(number),
             at_end.eq(number >= self.length),
             *(nonzero[i].eq(self.step.count[4 * i : 4 * i + 4].any()) for i in range(8)),
         ]
         with m.Switch(state):
-            with m.Case(_State.SEEK):  # `at_end` and the memories are one clock late
+            with m.Case(_State.SEEK):  # `address` is one clock late
+                m.d.pulse += state.eq(_State.LOAD)
+            with m.Case(_State.LOAD):  # and so are `at_end` and the memories
                 m.d.pulse += state.eq(_State.LOOK)
             with m.Case(_State.LOOK):
                 with m.If(~at_end):
@@ -126,8 +132,8 @@ class ProgramReader(wiring.Component):
             ]
         return m
 
-    def _memory(self, m: Module, word: int, number: Signal) -> Signal:
-        """Return one of a step's words, one clock after the step's number."""
+    def _memory(self, m: Module, word: int, address: Signal) -> Signal:
+        """Return one of a step's words, one clock after its address."""
         attributes = {"ram_style": self.memory_style} if self.memory_style else {}
         memory = Memory(shape=32, depth=self.config.steps, init=[], attrs=attributes)
         m.submodules[f"memory{word}"] = memory
@@ -138,6 +144,6 @@ class ProgramReader(wiring.Component):
             store.addr.eq(self.address[2:]),
             store.data.eq(self.word),
             load.en.eq(1),
-            load.addr.eq(number),
+            load.addr.eq(address),
         ]
         return load.data

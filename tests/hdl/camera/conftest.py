@@ -11,7 +11,6 @@ from hueflight_hdl.frame.filter import MASK_WORD
 from hueflight_hdl.frame.format import FrameFormat
 from hueflight_hdl.frame.formatter import FrameFormatter
 from hueflight_hdl.frame.reference import SensorFrame, frame_beats
-from hueflight_hdl.toolchain import find_tool
 
 Message = Sequence[tuple[int, int, int]]
 """Words of 64 bits, each with its marks: check, last."""
@@ -33,14 +32,6 @@ def draw_codes() -> Callable[..., np.ndarray]:
         return np.where(rng.random(shape) < occupancy, codes, np.uint16(0))
 
     return draw
-
-
-@pytest.fixture(scope="session")
-def cxxrtl_tools() -> None:
-    """What compiled simulation needs; tests that use it skip, saying so, without it."""
-    missing = [tool for tool in ("yosys", "c++") if find_tool(tool) is None]
-    if missing:
-        pytest.skip(f"{' and '.join(missing)} not installed: no compiled simulation")
 
 
 def _step_through(

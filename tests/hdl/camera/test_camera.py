@@ -29,7 +29,7 @@ SMALL = CameraConfig(
 
 
 @pytest.fixture(scope="module")
-def small(cxxrtl_tools):
+def small(simulator):
     from hueflight_hdl.designs.camera_bench import SimulatedCamera
 
     def start(**options):

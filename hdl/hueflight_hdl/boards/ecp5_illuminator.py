@@ -11,7 +11,7 @@ from ..gearing.ecp5 import Ecp5Gearing
 from ..pulse.config import PulseConfig
 from ..source import source_hash
 from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
-from .illuminator_pins import GearedPorts, add_illuminator
+from .illuminator_pins import add_from_platform
 
 CHANNELS_APART = {
     "script_after_read": "setattr -mod -set keep_hierarchy 1 *.channel? *.channel??",
@@ -51,20 +51,7 @@ class Ecp5Illuminator(Elaboratable):
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
         m.submodules.clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency)
-
-        pulses = platform.request("led_pulse", 0, dir="-")
-        ports = GearedPorts(
-            trigger=platform.request("trigger", 0, dir="-"),
-            channels=tuple(pulses[i] for i in range(self.config.pulse.channels)),
-            trigger_out=platform.request("trigger_out", 0, dir="-"),
-        )
-        illuminator = add_illuminator(m, self.config, Ecp5Gearing(), ports)
-        uart = platform.request("uart", 0)
-        m.d.comb += [
-            illuminator.rx.eq(uart.rx.i),
-            uart.tx.o.eq(illuminator.tx),
-            illuminator.frame_sync.eq(platform.request("frame_sync", 0).i),
-            platform.request("marker", 0).o.eq(illuminator.marker),
-            platform.request(*self.armed).o.eq(illuminator.armed),
-        ]
+        illuminator = add_from_platform(m, self.config, Ecp5Gearing(), platform)
+        lamp = platform.request(*self.armed)
+        m.d.comb += (lamp.r if self.armed[0] == "rgb_led" else lamp).o.eq(illuminator.armed)
         return m

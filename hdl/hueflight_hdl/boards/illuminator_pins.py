@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from amaranth.build import Platform
 from amaranth.hdl import Module, Signal, Value
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out
@@ -31,6 +32,27 @@ def add_illuminator(
     for number, port in enumerate(ports.channels):
         gearing.add_output(m, f"channel{number}", port, Value.cast(illuminator.levels[number]))
     gearing.add_output(m, "trigger_out", ports.trigger_out, illuminator.trigger_out)
+    return illuminator
+
+
+def add_from_platform(
+    m: Module, config: IlluminatorConfig, gearing: Gearing, platform: Platform
+) -> Illuminator:
+    """Add an illuminator on the pins that every board names alike; its lamp is left to connect."""
+    pulses = platform.request("led_pulse", 0, dir="-")
+    ports = GearedPorts(
+        trigger=platform.request("trigger", 0, dir="-"),
+        channels=tuple(pulses[channel] for channel in range(config.pulse.channels)),
+        trigger_out=platform.request("trigger_out", 0, dir="-"),
+    )
+    illuminator = add_illuminator(m, config, gearing, ports)
+    uart = platform.request("uart", 0)
+    m.d.comb += [
+        illuminator.rx.eq(uart.rx.i),
+        uart.tx.o.eq(illuminator.tx),
+        illuminator.frame_sync.eq(platform.request("frame_sync", 0).i),
+        platform.request("marker", 0).o.eq(illuminator.marker),
+    ]
     return illuminator
 
 

@@ -4,9 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from amaranth.build import Platform
 from amaranth.hdl import Elaboratable
+
+from hueflight_protocol.errors import HueflightError
+
+
+class TargetError(HueflightError):
+    """A design that can't be built for a board as asked."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a builder may choose.
+
+    Parameters
+    ----------
+    pins : Path, optional
+        TOML file of pins, for boards whose pins are not known here.
+    lanes : int, optional
+        Codes per clock at the camera's sensor port.
+    """
+
+    pins: Path | None = None
+    lanes: int | None = None
 
 
 @dataclass(frozen=True)
@@ -24,9 +47,12 @@ class Target:
     clocks_mhz : mapping of str to float
         Clock domain and the frequency that it must reach.
     family : str
-        ``"ecp5"``, ``"ice40"``, or ``"ise"``, for which a project is written.
+        ``"ecp5"`` or ``"ice40"``, built with open tools; ``"xc3s"`` or ``"xc6s"``, for which a
+        project for Xilinx ISE is written.
     options : mapping of str to str
         Overrides of the platform's build, as amaranth takes them.
+    blackboxes : str
+        Verilog of modules that come with the vendor's software, without their content.
     """
 
     design: str
@@ -36,3 +62,4 @@ class Target:
     clocks_mhz: Mapping[str, float]
     family: str
     options: Mapping[str, str] = field(default_factory=dict)
+    blackboxes: str = ""

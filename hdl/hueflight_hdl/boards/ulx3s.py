@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from amaranth.build import Attrs, Pins, Platform, Resource
+from amaranth.build import Attrs, Pins, Platform, Resource, Subsignal
+from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Module
+from amaranth.lib import io
+from amaranth.lib.wiring import connect
 from amaranth_boards.ulx3s import ULX3S_85F_Platform
 
-from .ecp5_clocks import PULSE_HZ, SYNC_HZ
+from ..link.ft601 import Ft601Link
+from ..link.serial import SerialLink
+from .ecp5_camera import NO_COLLISIONS, CameraClocks, add_camera, camera_config
+from .ecp5_camera import SYNC_HZ as CAMERA_HZ
+from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
 from .ecp5_illuminator import CHANNELS_APART, Ecp5Illuminator
-from .target import Target
+from .target import Options, Target
 
 # the right edge of the device has the I/O registers for four ticks a clock
 _FAST = Attrs(IO_TYPE="LVCMOS33", DRIVE="8", SLEWRATE="FAST", PULLMODE="DOWN")
 _PLAIN = Attrs(IO_TYPE="LVCMOS33", PULLMODE="DOWN")
-_RESOURCES = [
+_ILLUMINATOR = [
     Resource(
         "led_pulse",
         0,
@@ -24,22 +31,102 @@ _RESOURCES = [
     Resource("frame_sync", 0, Pins("0+", dir="i", conn=("gpio", 0)), _PLAIN),
     Resource("marker", 0, Pins("1+ 1- 2+ 2- 3+ 3- 4+ 4-", dir="o", conn=("gpio", 0)), _PLAIN),
 ]
+_CAMERA = [
+    Resource(
+        "ft601",
+        0,
+        Subsignal("clk", Pins("12+", dir="i", conn=("gpio", 0))),
+        Subsignal(
+            "data",
+            Pins(
+                " ".join(f"{pair}{sign}" for pair in (*range(9), *range(20, 27)) for sign in "+-"),
+                dir="o",
+                conn=("gpio", 0),
+            ),
+        ),
+        Subsignal("be", Pins("9+ 9- 10+ 10-", dir="o", conn=("gpio", 0))),
+        Subsignal("wr_n", Pins("11+", dir="o", conn=("gpio", 0))),
+        Subsignal("rd_n", Pins("11-", dir="o", conn=("gpio", 0))),
+        Subsignal("oe_n", Pins("12-", dir="o", conn=("gpio", 0))),
+        Subsignal("txe_n", Pins("13+", dir="i", conn=("gpio", 0))),
+        _FAST,
+    ),
+    Resource("trigger", 0, Pins("14+", dir="o", conn=("gpio", 0)), _FAST),
+    Resource("frame_sync", 0, Pins("14-", dir="o", conn=("gpio", 0)), _FAST),
+    Resource("missed", 0, Pins("15+", dir="i", conn=("gpio", 0)), _PLAIN),
+    Resource(
+        "marker", 0, Pins("16+ 16- 17+ 17- 18+ 18- 19+ 19-", dir="i", conn=("gpio", 0)), _PLAIN
+    ),
+]
+FT_HZ = 100e6
+_BAUD = 3e6
 
 
-def _platform() -> Platform:
+def _platform(resources: list[Resource]) -> Platform:
     platform = ULX3S_85F_Platform()
-    platform.add_resources(_RESOURCES)
+    platform.add_resources(resources)
     return platform
 
 
-def illuminator() -> Target:
+def illuminator(options: Options) -> Target:
     """Return the illuminator on this board."""
     return Target(
         design="illuminator",
         board="ulx3s-85f",
-        platform=_platform,
+        platform=lambda: _platform(_ILLUMINATOR),
         top=lambda: Ecp5Illuminator(armed=("led", 0)),
         clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
         family="ecp5",
         options=CHANNELS_APART,
+    )
+
+
+class Ft601Camera(Elaboratable):
+    """The camera with a synthetic sensor; packets to an FT601 on the headers, control by serial.
+
+    The board has no transceiver for high-speed USB of its own.
+    """
+
+    def __init__(self, lanes: int | None) -> None:
+        self.config = camera_config(lanes)
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
+        oscillator = platform.request(platform.default_clk, dir="-")
+        m.submodules.oscillator = clock = io.Buffer("i", oscillator)
+        m.submodules.clocks = CameraClocks(clock.i, platform.default_clk_frequency)
+        pins = platform.request("ft601", 0)
+        m.domains.ft = ft = ClockDomain(reset_less=True)
+        platform.add_clock_constraint(ft.clk, FT_HZ * AIM)
+        m.submodules.link = link = Ft601Link()
+        m.submodules.serial = serial = SerialLink(clock_hz=CAMERA_HZ, baud=_BAUD)
+        uart = platform.request("uart", 0)
+        m.d.comb += [
+            ClockSignal("ft").eq(pins.clk.i),
+            pins.data.o.eq(link.data),
+            pins.be.o.eq(link.be),
+            pins.wr_n.o.eq(link.wr_n),
+            pins.rd_n.o.eq(1),
+            pins.oe_n.o.eq(1),
+            link.txe_n.eq(pins.txe_n.i),
+            serial.rx.eq(uart.rx.i),
+            uart.tx.o.eq(serial.tx),
+        ]
+        camera = add_camera(m, self.config, platform)
+        connect(m, camera.packets, link.packets)
+        connect(m, serial.requests, camera.requests)
+        connect(m, camera.responses, serial.responses)
+        return m
+
+
+def camera(options: Options) -> Target:
+    """Return the camera on this board."""
+    return Target(
+        design="camera",
+        board="ulx3s-85f",
+        platform=lambda: _platform(_CAMERA),
+        top=lambda: Ft601Camera(options.lanes),
+        clocks_mhz={"sync": CAMERA_HZ / 1e6, "ft": FT_HZ / 1e6},
+        family="ecp5",
+        options=NO_COLLISIONS,
     )

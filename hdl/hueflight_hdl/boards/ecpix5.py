@@ -1,0 +1,120 @@
+"""ECPIX-5 with the larger ECP5, speed grade 8."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from amaranth.build import Attrs, Pins, Platform, Resource
+from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Module, Signal
+from amaranth.lib import io
+from amaranth.lib.cdc import ResetSynchronizer
+from amaranth.lib.wiring import connect
+from amaranth_boards.ecpix5 import ECPIX585Platform
+
+from ..link.usb import UsbLink
+from .ecp5_camera import NO_COLLISIONS, CameraClocks, add_camera, camera_config
+from .ecp5_camera import SYNC_HZ as CAMERA_HZ
+from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
+from .ecp5_illuminator import CHANNELS_APART, Ecp5Illuminator
+from .target import Options, Target
+
+# PMODs 0 and 1 lie on the right edge of the device, with the I/O registers for four ticks a clock
+_FAST = Attrs(IO_TYPE="LVCMOS33", DRIVE="8", SLEWRATE="FAST", PULLMODE="DOWN")
+_PLAIN = Attrs(IO_TYPE="LVCMOS33", PULLMODE="DOWN")
+_ILLUMINATOR = [
+    # eight pins of PMOD 0 and the first of PMOD 1, by their balls: a resource has one connector
+    Resource("led_pulse", 0, Pins("T25 U25 U24 V24 T26 U26 V26 W26 U23", dir="o"), _FAST),
+    Resource("trigger", 0, Pins("7", dir="i", conn=("pmod", 1)), _PLAIN),
+    Resource("trigger_out", 0, Pins("8", dir="o", conn=("pmod", 1)), _FAST),
+    Resource("frame_sync", 0, Pins("9", dir="i", conn=("pmod", 1)), _PLAIN),
+    Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="o", conn=("pmod", 2)), _PLAIN),
+]
+_CAMERA = [
+    Resource("trigger", 0, Pins("1", dir="o", conn=("pmod", 1)), _FAST),
+    Resource("frame_sync", 0, Pins("2", dir="o", conn=("pmod", 1)), _FAST),
+    Resource("missed", 0, Pins("3", dir="i", conn=("pmod", 1)), _PLAIN),
+    Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="i", conn=("pmod", 2)), _PLAIN),
+]
+USB_HZ = 60e6
+_PHY_CLOCKS = round(1e-3 * CAMERA_HZ)
+"""A millisecond of reset for the transceiver, and another until it is used."""
+
+
+def _platform(resources: list[Resource]) -> Platform:
+    platform = ECPIX585Platform()
+    platform.add_resources(resources)
+    return platform
+
+
+def illuminator(options: Options) -> Target:
+    """Return the illuminator on this board."""
+    return Target(
+        design="illuminator",
+        board="ecpix5-85f",
+        platform=lambda: _platform(_ILLUMINATOR),
+        top=lambda: Ecp5Illuminator(armed=("rgb_led", 0)),
+        clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
+        family="ecp5",
+        options=CHANNELS_APART,
+    )
+
+
+class _UsbClock(Elaboratable):
+    """Domain `usb`, from the transceiver, and the transceiver's reset."""
+
+    def __init__(self, clock: Signal, reset: Signal) -> None:
+        self.clock = clock
+        self.reset = reset
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
+        m.domains.usb = usb = ClockDomain()
+        platform.add_clock_constraint(usb.clk, USB_HZ * AIM)
+        left = Signal(range(2 * _PHY_CLOCKS), init=2 * _PHY_CLOCKS - 1)
+        waiting = Signal(init=1)
+        with m.If(left != 0):
+            m.d.sync += left.eq(left - 1)
+        m.d.sync += [waiting.eq(left != 0), self.reset.eq(left >= _PHY_CLOCKS)]
+        m.d.comb += ClockSignal("usb").eq(self.clock)
+        m.submodules.reset = ResetSynchronizer(waiting, domain="usb")
+        return m
+
+
+class UsbCamera(Elaboratable):
+    """The camera with a synthetic sensor, behind USB 2 at high speed."""
+
+    def __init__(self, lanes: int | None) -> None:
+        self.config = camera_config(lanes)
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
+        oscillator = platform.request(platform.default_clk, dir="-")
+        m.submodules.oscillator = clock = io.Buffer("i", oscillator)
+        m.submodules.clocks = CameraClocks(clock.i, platform.default_clk_frequency)
+        ulpi = platform.request("ulpi", 0)
+        phy_reset = Signal(init=1)
+        m.d.comb += ulpi.rst.o.eq(phy_reset)
+        m.submodules.usb_clock = _UsbClock(ulpi.clk.i, phy_reset)
+        # without its reset, which does not depend on a clock that may stand still
+        bus = SimpleNamespace(
+            data=ulpi.data, clk=ulpi.clk, dir=ulpi.dir, nxt=ulpi.nxt, stp=ulpi.stp
+        )
+        camera = add_camera(m, self.config, platform)
+        m.submodules.link = link = UsbLink(bus, serial=f"{self.config.serial:08d}")
+        connect(m, camera.packets, link.packets)
+        connect(m, link.requests, camera.requests)
+        connect(m, camera.responses, link.responses)
+        return m
+
+
+def camera(options: Options) -> Target:
+    """Return the camera on this board."""
+    return Target(
+        design="camera",
+        board="ecpix5-85f",
+        platform=lambda: _platform(_CAMERA),
+        top=lambda: UsbCamera(options.lanes),
+        clocks_mhz={"sync": CAMERA_HZ / 1e6, "usb": USB_HZ / 1e6},
+        family="ecp5",
+        options=NO_COLLISIONS,
+    )

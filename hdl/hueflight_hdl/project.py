@@ -1,0 +1,75 @@
+"""Projects for any toolchain: Verilog, constraints, scripts; and what yosys estimates of them."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from .boards.target import Target
+from .build import NAME, prepare
+from .build_report import BuildError
+from .toolchain import run_tool, tool_environment
+
+_SYNTHESIS = {
+    "ecp5": "synth_ecp5",
+    "ice40": "synth_ice40",
+    "xc3s": "synth_xilinx -family xc3s -ise",
+    "xc6s": "synth_xilinx -family xc6s -ise",
+}
+_KINDS = {
+    "LUT": ("LUT1", "LUT2", "LUT3", "LUT4", "LUT5", "LUT6", "SB_LUT4"),
+    "flip-flop": ("FDRE", "FDSE", "FDCE", "FDPE", "FDR", "FDS", "FD", "FDE", "TRELLIS_FF"),
+    "block RAM": ("RAMB16BWER", "RAMB8BWER", "RAMB16", "DP16KD", "SB_RAM40_4K"),
+    "LUT RAM": ("TRELLIS_DPR16X4",),
+    "carry": ("CARRY4", "MUXCY", "XORCY", "CCU2C", "SB_CARRY"),
+}
+
+
+def write_project(target: Target, folder: Path, /) -> list[Path]:
+    """Write a target's Verilog, constraints and scripts.
+
+    Parameters
+    ----------
+    target : Target
+    folder : Path
+        Made if needed.
+
+    Returns
+    -------
+    list of Path
+        Of what was written.
+
+    Raises
+    ------
+    ToolError
+        If yosys, which turns RTLIL into Verilog, is not there or fails.
+    """
+    # Amaranth calls yosys by itself where a vendor's tools want Verilog
+    os.environ.setdefault("YOSYS", tool_environment().get("YOSYS", "yosys"))
+    prepare(target, folder)
+    verilog = folder / f"{NAME}.v"
+    if (folder / f"{NAME}.il").exists():
+        passes = f"read_rtlil {NAME}.il; proc -nomux -norom; memory_collect; "
+        passes += f"write_verilog -norename {verilog.name}"
+        run_tool("yosys", "-q", "-p", passes, cwd=folder)
+    if not verilog.exists():
+        raise BuildError(f"{folder}: no Verilog was written")
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def estimate(target: Target, folder: Path, /) -> dict[str, int]:
+    """Return how many cells yosys makes of a project that has been written, by kind.
+
+    It is an estimate: nothing has been packed, placed or routed.
+    """
+    read = f"read_verilog {NAME}.v; "
+    if target.blackboxes:
+        (folder / "blackboxes.v").write_text(target.blackboxes)
+        read = f"read_verilog -lib blackboxes.v; {read}"
+    passes = f"{read}{_SYNTHESIS[target.family]} -flatten -top {NAME}; "
+    passes += "tee -q -o cells.json stat -json"
+    run_tool("yosys", "-q", "-p", passes, cwd=folder)
+    cells = json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]
+    counted = {kind: sum(cells.get(name, 0) for name in names) for kind, names in _KINDS.items()}
+    return {kind: number for kind, number in counted.items() if number}

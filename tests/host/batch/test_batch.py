@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from hueflight.batch.job import work
 from hueflight.captures import read_capture, write_counts
 from hueflight.errors import BatchError, CalibrationError, ExportError
 from hueflight.importers import read_image
+
+T = TypeVar("T")
 
 
 class InThisProcess:
@@ -130,45 +133,57 @@ def as_pipe(capture: Path) -> tuple[Path, Path]:
     return pipe, real
 
 
-def blocked(path: Path) -> int:
-    """Wait until somebody reads from a pipe that looks like a capture; keep it waiting."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        try:
-            return os.open(path, os.O_WRONLY | os.O_NONBLOCK)
-        except OSError:  # nobody has opened it yet
-            time.sleep(0.02)
-    raise TimeoutError(path)
-
-
 def kill_readers(pipe: Path, times: int, replacement: Path | None) -> threading.Thread:
     """Kill every worker that reads `pipe`, so many times; then put a real capture in its place."""
 
     def act() -> None:
         for time_killed in range(times):
-            handle = blocked(pipe)
-            victims: list[int] = []
-            while not victims:  # its opening may take a moment longer than ours
-                pids = [process.pid for process in multiprocessing.active_children()]
-                victims = [pid for pid in pids if pid is not None and _reads(pid, pipe)]
-            if replacement is not None and time_killed == times - 1:
-                replacement.replace(pipe)
-            os.kill(victims[0], signal.SIGKILL)
-            while _reads(victims[0], pipe):
-                time.sleep(0.01)
-            os.close(handle)
+            # readers wait as long as this end is open, so it is closed whatever happens
+            handle = soon(lambda: _opened(pipe))
+            try:
+                # its opening may take a moment longer than ours
+                victim = soon(lambda: _reader(pipe))
+                if replacement is not None and time_killed == times - 1:
+                    replacement.replace(pipe)
+                os.kill(victim, signal.SIGKILL)
+                soon(lambda victim=victim: None if _reads(victim, pipe) else True)
+            finally:
+                os.close(handle)
 
     thread = threading.Thread(target=act)
     thread.start()
     return thread
 
 
+def soon(look: Callable[[], T | None]) -> T:
+    """What `look` finds once it finds something."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        found = look()
+        if found is not None:
+            return found
+        time.sleep(0.01)
+    raise TimeoutError("nothing to be seen for a minute")
+
+
+def _opened(pipe: Path) -> int | None:
+    """A pipe's writing end, if somebody reads from it or waits to."""
+    with suppress(OSError):
+        return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+    return None
+
+
+def _reader(pipe: Path) -> int | None:
+    pids = [process.pid for process in multiprocessing.active_children()]
+    return next((pid for pid in pids if pid is not None and _reads(pid, pipe)), None)
+
+
 def _reads(pid: int, pipe: Path) -> bool:
-    folder = Path(f"/proc/{pid}/fd")
-    for link in folder.iterdir() if folder.is_dir() else ():
-        with suppress(OSError):  # closed meanwhile
-            if str(link.readlink()).startswith(str(pipe)):
-                return True
+    with suppress(OSError):  # it has ended
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            with suppress(OSError):  # closed meanwhile
+                if str(link.readlink()).startswith(str(pipe)):
+                    return True
     return False
 
 

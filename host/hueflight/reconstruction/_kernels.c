@@ -188,7 +188,8 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets,
         tracks[p] = scratch->tracks + p;
         tracks[p]->pixel = p;
         start(plan, scratch->coarse, totals[p], scratch->scores, scratch->tried, best, tracks[p]);
-        if (second >= 0 && scratch->scores[best] - scratch->scores[second] < rules->margin) {
+        float worse = second < 0 ? INFINITY : scratch->scores[best] - scratch->scores[second];
+        if (worse < rules->margin + rules->raster * totals[p]) {
             rivals[p] = made;
             tracks[made] = scratch->tracks + made;
             tracks[made]->pixel = p;
@@ -295,7 +296,8 @@ static void make_plan(const Py_buffer *held, Plan *plan)
                   .settle = n[19], .posterior = n[20], .settled = x[12],
                   .floor_photons = x[13], .floor_share = x[14], .ridge = x[15],
                   .margin = x[16], .ambiguous = x[17], .few = x[18], .spacing = x[19],
-                  .spread_ns = x[20], .low_ns = x[21], .high_ns = x[22], .target_ns = x[23]},
+                  .spread_ns = x[20], .low_ns = x[21], .high_ns = x[22], .target_ns = x[23],
+                  .raster = x[24]},
     };
 }
 

@@ -31,7 +31,7 @@ typedef struct {
     float shares[SHARES], logs[SHARES];
     int steps, nodes, rounds;
     float settled, floor_photons, floor_share, ridge, margin, ambiguous, few, spacing;
-    float spread_ns, low_ns, high_ns, target_ns;
+    float spread_ns, low_ns, high_ns, target_ns, raster;
     int halves, settle, posterior;
 } Rules;
 

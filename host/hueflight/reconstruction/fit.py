@@ -30,6 +30,7 @@ FLOOR_PHOTONS = 0.5  #: background below this is taken for it in the weights,
 FLOOR_SHARE = 0.003  #: or below this share of all counts
 RIDGE = 1e-6  #: on the unit diagonal of the normal equations
 MARGIN = 6.0  #: log-likelihood by which a second delay may be worse and is still looked at
+RASTER = 0.07  #: and by this much per photon: a delay between two lags of the search loses that
 AMBIGUOUS = 3.0  #: log-likelihood by which the better delay must win (20 : 1)
 FEW_PHOTONS = 300.0  #: the posterior stage is for pixels that know no more than this many tell
 NODES = 11  #: delays on which the posterior is looked at,
@@ -119,7 +120,7 @@ def fit(
     state, steps = _scored(counts, total, best, score, share, low, high, plan, switches)
     other = np.full(len(counts), np.nan)
     rows = np.arange(len(counts))
-    rival = (second >= 0) & (score[rows, best] - score[rows, second] < MARGIN)
+    rival = (second >= 0) & (score[rows, best] - score[rows, second] < MARGIN + RASTER * total)
     if rival.any():
         here = np.flatnonzero(rival)
         args = (counts[here], total[here], second[here], score[here], share[here])

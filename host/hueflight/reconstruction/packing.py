@@ -98,7 +98,7 @@ def rules(
         *np.log(BACKGROUND_SHARES),
         *(fit.SETTLED, fit.FLOOR_PHOTONS, fit.FLOOR_SHARE, fit.RIDGE),
         *(fit.MARGIN, fit.AMBIGUOUS, fit.FEW_PHOTONS, fit.NODE_SPACING),
-        *(plan.spread_ns, *plan.search_ns, switches.target_ns),
+        *(plan.spread_ns, *plan.search_ns, switches.target_ns, fit.RASTER),
     ]
     return np.array(integers, np.int32), np.array(reals, np.float32)
 

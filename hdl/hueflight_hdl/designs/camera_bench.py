@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from hueflight_protocol import control
 from ..frame.format import FrameFormat
 from ..frame.reference import frame_beats, pack_beats
 from ..sensor.exposure import MARKER_BITS
-from ..simulation.cxxrtl import Simulation, SimulationError, simulate
+from ..simulation.cxxrtl import Simulation, SimulationError, compile_design
+from ..simulation.shim import Port
 from .camera import Camera, CameraConfig
 
 ANSWER_CLOCKS = 20_000
@@ -110,6 +112,13 @@ class CameraBench(wiring.Component):
 Taking = Callable[[int], NDArray[np.bool_]]
 """From a number of clocks to those in which the link takes a word."""
 
+CompiledCamera = tuple[Path, list[Port]]
+
+
+def compile_camera(config: CameraConfig, /) -> CompiledCamera:
+    """Compile a camera once, for any number of `SimulatedCamera`."""
+    return compile_design(CameraBench(config))
+
 
 class SimulatedCamera:
     """A running camera: requests in, responses and packets out, time in clocks.
@@ -120,6 +129,8 @@ class SimulatedCamera:
         What is built.
     taking : callable, optional
         When the link takes words; by default always.
+    compiled : optional
+        Of the same configuration, by `compile_camera`.
 
     Attributes
     ----------
@@ -129,13 +140,19 @@ class SimulatedCamera:
         Of this build.
     """
 
-    def __init__(self, config: CameraConfig, *, taking: Taking | None = None) -> None:
+    def __init__(
+        self,
+        config: CameraConfig,
+        *,
+        taking: Taking | None = None,
+        compiled: CompiledCamera | None = None,
+    ) -> None:
         self.config = config
         self.clocks = 0
         self.taking = taking
         self.registers = config.registers()
         self._transaction = 0
-        self._simulation: Simulation = simulate(CameraBench(config))
+        self._simulation = Simulation(*(compiled or compile_camera(config)))
         self._words: list[NDArray[np.uint64]] = []
 
     def run(self, inputs: NDArray | None = None, /, *, clocks: int = 0) -> NDArray:
@@ -200,17 +217,30 @@ class SimulatedCamera:
             raise SimulationError(f"{asked} was answered {answer}")
         return answer.payload
 
-    def read_out(
+    def readout(
         self, codes: NDArray[np.uint16], /, *, beats: Sequence[int] | slice = slice(None)
-    ) -> None:
-        """Play the sensor: send a frame, or chosen beats of it, one in each clock."""
+    ) -> NDArray:
+        """Return the inputs that play the sensor: a frame or chosen beats, one in each clock."""
         form = self.config.form
         packed = pack_beats(form, frame_beats(form, codes))[beats]
         inputs = self._simulation.inputs(len(packed))
         inputs["codes"] = packed.view(inputs["codes"].dtype).reshape(inputs["codes"].shape)
         inputs["marks"] = frame_marks(form)[beats]
         inputs["beat_valid"] = 1
-        self.run(inputs)
+        return inputs
+
+    def run_to_read(self, *, step: int = 100, limit: int = 1_000_000) -> None:
+        """Run until the sensor is asked for a frame, a step at a time.
+
+        Raises
+        ------
+        SimulationError
+            If it is not asked in so many clocks.
+        """
+        for _ in range(0, limit, step):
+            if self.run(clocks=step)["read"].any():
+                return
+        raise SimulationError(f"no readout was asked for in {limit} clocks")
 
     def packets(self) -> bytes:
         """Return the bytes that the link has taken since this was last called."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data, fifo, stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 from amaranth.utils import ceil_log2
@@ -69,6 +69,8 @@ class FrameFormatter(wiring.Component):
         Words that the buffer can still take.
     banks_free : Out
         Chunks that the banks can still take.
+    clash : Out(1)
+        A place of a chunk was read and written at once: never, see ``proofs``.
     """
 
     def __init__(self, form: FrameFormat, *, buffer_words: int = 512) -> None:
@@ -98,6 +100,7 @@ class FrameFormatter(wiring.Component):
                 "sequence": Out(32),
                 "room": Out(range(buffer_words + 1)),
                 "banks_free": Out(range(form.banks + 1)),
+                "clash": Out(1),
             }
         )
 
@@ -156,6 +159,7 @@ class FrameFormatter(wiring.Component):
             self.sent_aborted.eq(reader.ended & reader.aborted),
             self.hits.eq(reader.hits),
         ]
+        self._watch(m, reader, store)
         sealer = self._words(m, reader, store, info)
         self._buffer(m, reader, sealer)
         return m
@@ -183,6 +187,15 @@ class FrameFormatter(wiring.Component):
             )
             m.d.sync += [pending.eq(1), info.eq(self.info), info.flags.eq(self.info.flags | done)]
         return info
+
+    def _watch(self, m: Module, reader: PieceReader, store: ChunkStore) -> None:
+        """Say whether what is fetched was written in the same clock; for proofs alone."""
+        before = Signal.like(store.clash)
+        piece = reader.o.payload
+        sources = (Source.DENSE, Source.HITS, Source.BITMAP)
+        fetched = Cat(piece.source == source for source in sources)
+        m.d.sync += before.eq(store.clash)
+        m.d.comb += self.clash.eq(reader.o.valid & ~piece.drain & (before & fetched).any())
 
     def _words(
         self, m: Module, reader: PieceReader, store: ChunkStore, info: data.View

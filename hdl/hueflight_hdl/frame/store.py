@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from amaranth.hdl import Cat, Module, Signal
 from amaranth.lib import data, stream, wiring
-from amaranth.lib.memory import Memory
+from amaranth.lib.memory import Memory, WritePort
 from amaranth.lib.wiring import In, Out
 
 from .cursor import BankCursor, group_write_layout
@@ -27,6 +27,9 @@ class ChunkStore(wiring.Component):
         Where to read: a bank, and in it a group or a word of eight bitmap bytes.
     dense, hits, bitmap : Out
         What is there, two clocks later.
+    clash : Out(3)
+        In dense, hits, bitmap: what is addressed is written in this clock. Builds tell the tools
+        that it is not read then, which a proof shows; nothing else looks at it.
     """
 
     read_latency = 2
@@ -43,6 +46,7 @@ class ChunkStore(wiring.Component):
                 "dense": Out(form.codes_layout(GROUP)),
                 "hits": Out(form.codes_layout(GROUP)),
                 "bitmap": Out(8 * WORD_BYTES),
+                "clash": Out(3),
             }
         )
 
@@ -59,23 +63,30 @@ class ChunkStore(wiring.Component):
         m.submodules.bitmap_memory = bitmap = Memory(
             shape=8 * WORD_BYTES, depth=form.banks * self.bitmap_words, init=[]
         )
-        self._write_dense(m, dense)
-        self._write_hits(m, hits)
-        self._write_bitmap(m, bitmap)
-        for memory, out, places in (
-            (dense, self.dense, form.bank_groups),
-            (hits, self.hits, form.bank_groups),
-            (bitmap, self.bitmap, self.bitmap_words),
+        writes = [
+            self._write_dense(m, dense),
+            self._write_hits(m, hits),
+            self._write_bitmap(m, bitmap),
+        ]
+        for number, (memory, out, places) in enumerate(
+            (
+                (dense, self.dense, form.bank_groups),
+                (hits, self.hits, form.bank_groups),
+                (bitmap, self.bitmap, self.bitmap_words),
+            )
         ):
             # A bank is never written while it is read, so what such a clash would give
             # does not matter; builds tell the tools so, and a proof shows that it holds.
             port = memory.read_port()
-            m.d.comb += port.addr.eq(Cat(self.place[: (places - 1).bit_length()], self.bank))
+            m.d.comb += [
+                port.addr.eq(Cat(self.place[: (places - 1).bit_length()], self.bank)),
+                self.clash[number].eq(writes[number].en & (writes[number].addr == port.addr)),
+            ]
             # block memories are slow: nothing but a register behind them
             m.d.sync += out.eq(port.data)
         return m
 
-    def _write_dense(self, m: Module, memory: Memory) -> None:
+    def _write_dense(self, m: Module, memory: Memory) -> WritePort:
         group = self.groups.payload
         cursor = BankCursor(self.form)
         cursor.advance(m, self.groups.valid, group.chunk_end | group.abort, group.abort, by=1)
@@ -88,8 +99,9 @@ class ChunkStore(wiring.Component):
             codes.eq(group.codes),
         ]
         m.d.comb += [port.addr.eq(address), port.data.eq(codes)]
+        return port
 
-    def _write_hits(self, m: Module, memory: Memory) -> None:
+    def _write_hits(self, m: Module, memory: Memory) -> WritePort:
         packed = self.packed.payload
         port = memory.write_port()
         m.d.comb += [
@@ -97,8 +109,9 @@ class ChunkStore(wiring.Component):
             port.addr.eq(Cat(packed.place, packed.bank)),
             port.data.eq(packed.codes),
         ]
+        return port
 
-    def _write_bitmap(self, m: Module, memory: Memory) -> None:
+    def _write_bitmap(self, m: Module, memory: Memory) -> WritePort:
         """Gather eight bytes of bitmap, or as many as the chunk has left, and write them."""
         group = self.groups.payload
         lit = Signal(GROUP)
@@ -125,3 +138,4 @@ class ChunkStore(wiring.Component):
             with m.If(valid & (byte == i)):
                 m.d.sync += word[i].eq(lit)
         m.d.comb += [port.addr.eq(address), port.data.eq(word)]
+        return port

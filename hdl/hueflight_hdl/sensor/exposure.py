@@ -36,7 +36,7 @@ class ExposureControl(wiring.Component):
         See `EXPOSURE_LAYOUT`.
     start, stop, abort : In(1)
         Begin a capture, ending at once one that is on; end it after the present frame; end it
-        at once.
+        at once. What has not begun yet is not begun after a stop or an abort.
     ready : In(1)
         A capture may begin: what is to be said of the one before has been said.
     trigger, frame_sync : Out(1)
@@ -49,6 +49,8 @@ class ExposureControl(wiring.Component):
         The readout is over, whatever became of it.
     give_up : Out(1)
         The readout is not waited for any longer.
+    starting : Out(1)
+        A start waits for the capture before to end, and for `ready`.
     running, stopping, exposing : Out(1)
         State.
     began, ended : Out(1)
@@ -81,6 +83,7 @@ class ExposureControl(wiring.Component):
                 "read": Out(1),
                 "read_done": In(1),
                 "give_up": Out(1),
+                "starting": Out(1),
                 "running": Out(1),
                 "stopping": Out(1),
                 "exposing": Out(1),
@@ -115,9 +118,11 @@ class ExposureControl(wiring.Component):
         left = Signal(32)  # periods
         gap = Signal(32)
         limited, frames_left = Signal(), Signal(32)
-        starting = Signal()  # a start waits for the capture before to end
+        starting = self.starting
         with m.If(self.start):
             m.d.sync += starting.eq(1)
+        with m.Elif(self.stop | self.abort):
+            m.d.sync += starting.eq(0)
         with m.If(self.stop):
             m.d.sync += self.stopping.eq(1)
         cut, aborting = Signal(), Signal()  # end at once
@@ -128,7 +133,7 @@ class ExposureControl(wiring.Component):
         with m.FSM():
             with m.State("IDLE"):
                 m.d.sync += [self.stopping.eq(0), aborting.eq(0)]
-                with m.If(starting & self.ready):
+                with m.If(starting & self.ready & ~self.stop & ~self.abort):
                     m.d.comb += self.began.eq(1)
                     m.d.sync += [
                         starting.eq(0),

@@ -124,6 +124,15 @@ def test_a_start_waits_until_the_last_capture_has_been_told_of():
     assert np.flatnonzero(seen["began"]).tolist() == [60]
 
 
+@pytest.mark.parametrize("how", ["stop", "abort"])
+@pytest.mark.parametrize("clock", [6, 30, 59, 60])
+def test_a_start_that_waits_can_be_called_off(how, clock):
+    script = {0: {"ready": 0}, 5: {"start": 1}, clock: {how: 1}}
+    script[60] = script.get(60, {}) | {"ready": 1}
+    seen = run(script, clocks=100)
+    assert not seen["began"].any()
+
+
 def test_triggers_between_exposures():
     seen = run({5: {"start": 1}}, trigger_always=1)
     triggers, _ = edges(seen["trigger"])

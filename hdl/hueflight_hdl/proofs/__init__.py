@@ -1,0 +1,1 @@
+"""Formal proofs of gateware, with the open tools: yosys, SBY, yices."""

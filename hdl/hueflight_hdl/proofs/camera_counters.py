@@ -1,0 +1,46 @@
+"""A capture's counters never decrease."""
+
+from __future__ import annotations
+
+from amaranth.hdl import Assert, Module, Signal
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In
+
+from ..frame.counters import EVENT_COUNTERS, CaptureCounters
+
+LIMIT_64 = (1 << 64) - (1 << 32)
+
+
+class CountersHarness(wiring.Component):
+    """Counters with free inputs; 64-bit ones are not looked at where millennia have passed."""
+
+    def __init__(self) -> None:
+        self.counters = CaptureCounters()
+        inputs = {
+            path[0]: In(member.shape)
+            for path, member, _ in self.counters.signature.flatten(self.counters)
+            if member.flow is In
+        }
+        super().__init__(inputs)
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        m.submodules.counters = counters = self.counters
+        for name in self.signature.members:
+            m.d.comb += getattr(counters, name).eq(getattr(self, name))
+        told = counters.counters
+        narrow = [told[name] for name in (*EVENT_COUNTERS, "buffer_peak")]
+        wide = [told.frames_sent, counters.hits_sent, counters.periods]
+        began, seen = Signal(), Signal()
+        m.d.sync += [began.eq(self.began), seen.eq(1)]
+        for value in (*narrow, *wide):
+            before = Signal.like(value)
+            m.d.sync += before.eq(value)
+            grows = value >= before
+            if any(value is one for one in wide):
+                grows |= before >= LIMIT_64
+            with m.If(seen & ~began):
+                m.d.comb += Assert(grows)
+            with m.If(seen & began):
+                m.d.comb += Assert(value <= 1)
+        return m

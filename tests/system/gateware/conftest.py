@@ -1,0 +1,15 @@
+"""The tools that compile gateware, or a reason to skip."""
+
+import os
+
+import pytest
+
+from hueflight_hdl.toolchain import find_tool
+
+
+@pytest.fixture(scope="session")
+def compiler():
+    """Designs can be compiled for simulation; in CI they must be."""
+    missing = [tool for tool in ("yosys", "c++") if find_tool(tool) is None]
+    if missing and not os.environ.get("CI"):
+        pytest.skip(f"{' and '.join(missing)} not found: no compiled simulation of gateware")

@@ -1,0 +1,66 @@
+"""The loop closed: simulated photons through the gateware's camera to an image."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import hueflight as hf
+from hueflight import simulator
+from hueflight.ingest import HistogramStream, accumulate_codes
+from hueflight_hdl.designs.camera import CameraConfig
+from hueflight_hdl.designs.camera_bench import SimulatedCamera
+from hueflight_hdl.frame.format import FrameFormat
+
+FRAMES = 600
+
+
+def run_through_gateware(codes, camera):
+    """Have the sensor's port carry frames; yield the bytes that the link takes."""
+    camera.write("synthetic", enable=0)
+    camera.write("exposure", value=8)  # no readout is asked for while a request is answered
+    camera.write("frame_limit", value=FRAMES)
+    camera.write("run", start=1)
+    for frame in codes:
+        camera.run_to_read()
+        camera.run(camera.readout(frame))
+        yield camera.packets()
+    camera.run(clocks=5000)
+    yield camera.packets()
+    assert camera.read("frames_sent")["value"] == FRAMES
+
+
+@pytest.mark.slow
+def test_image_is_the_same_as_without_the_gateware(compiler):
+    instrument = hf.Instrument.load("paper")
+    scene = simulator.scene("fig1", instrument)
+    blocks = simulator.simulate_codes(scene, instrument, frames=FRAMES, seed=4)
+    codes = np.concatenate(list(blocks))
+
+    form = FrameFormat(rows=instrument.sensor.rows, cols=instrument.sensor.cols)
+    camera = SimulatedCamera(CameraConfig(form=form, sensor=True))
+    stream = HistogramStream(instrument)
+    for piece in run_through_gateware(codes, camera):
+        assert stream.feed(piece) == []
+    camera.close()
+    (block,) = stream.finish()
+    report = stream.report
+    assert report.frames == block.frames == FRAMES
+    assert report.lossless
+    assert report.miscounted == report.foreign == report.skipped_bytes == 0
+    assert report.photons == np.count_nonzero(codes)
+
+    expected = accumulate_codes(codes, instrument)
+    np.testing.assert_array_equal(block.histogram, expected)
+
+    reference = simulator.simulate_capture("reference", instrument, frames=2000)
+    calibration = hf.calibrate(reference, instrument, distance=0.40)
+    for method in ("paper", "joint"):
+        image = hf.reconstruct(block.histogram, calibration, method=method)
+        xr.testing.assert_identical(image, hf.reconstruct(expected, calibration, method=method))
+        # the image that is the same is one of the scene, too
+        error = image.depth.values - scene.truth(instrument).depth
+        assert np.nanmedian(np.abs(error)) < 0.02
+
+    # a single frame less is noticed
+    less = hf.reconstruct(accumulate_codes(codes[:-1], instrument), calibration, method="paper")
+    assert not less.identical(hf.reconstruct(expected, calibration, method="paper"))

@@ -10,7 +10,9 @@ setup(
         Extension(
             "hueflight.ingest._kernels",
             sources=[f"{KERNELS}/_kernels.c"],
-            depends=[f"{KERNELS}/_{name}.h" for name in ("wire", "crc32c", "scan", "count")],
+            depends=[
+                f"{KERNELS}/_{name}.h" for name in ("wire", "crc32c", "scan", "rows", "count")
+            ],
             extra_compile_args=["-O3"],
             py_limited_api=True,
             optional=True,  # without a compiler the NumPy twins take over

@@ -8,6 +8,7 @@
 #include "_wire.h"
 #include "_crc32c.h"
 #include "_scan.h"
+#include "_rows.h"
 #include "_count.h"
 
 __attribute__((noinline)) static size_t measured_scan(Scan *scan) { return scan_packets(scan, 0, 1); }

@@ -93,7 +93,7 @@ def answers(kernels: Any, data: bytes, geometry: Geometry, final: bool, limit: i
                     said.append(
                         kernels.count(
                             data, chunks, found.stride, chosen, rows * cols, code_bits, found.run,
-                            out, out.dtype == np.uint32, mode, True, done, 0, count,
+                            out, out.dtype == np.uint32, mode, done, 0, count,
                         )
                     )  # fmt: skip
                     said.append(done.tolist())

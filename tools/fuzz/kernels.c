@@ -9,10 +9,11 @@
 #include "_wire.h"
 #include "_crc32c.h"
 #include "_scan.h"
+#include "_rows.h"
 #include "_count.h"
 
 enum { OPTIONS = 4, OTHERS = 3 };
-enum { FINAL = 1, MEND = 2, WIDE = 4, CHECK = 8 };
+enum { FINAL = 1, MEND = 2, WIDE = 4 };
 
 static const struct { unsigned rows, cols, bits; size_t chunks; } GEOMETRIES[] = {
     {1, 1, 1, 4}, {3, 5, 9, 64}, {8, 8, 9, 64}, {1, 2, 13, 16}, {10, 13, 8, 256},
@@ -62,7 +63,7 @@ static void count_frames(const Scan *scan, unsigned options)
         .data = scan->data, .size = scan->size, .pixels = (unsigned)pixels,
         .code_bits = scan->code_bits, .run = scan->run, .chunks = scan->chunks,
         .stride = scan->stride, .chosen = chosen, .frames = scan->frames,
-        .wide = !!(options & WIDE), .check = !!(options & CHECK),
+        .wide = !!(options & WIDE),
     };
     size_t bytes = (pixels << scan->code_bits) * (count.wide ? 4 : 2);
     count.out = calloc(bytes, 1);
@@ -95,6 +96,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *input, size_t size)
     size_t limit = 1 + input[2] % 7, kinds = sizeof GEOMETRIES / sizeof *GEOMETRIES;
     has_bit_instructions = input[3] & 1;
     has_crc_instruction = input[3] >> 1 & 1;
+    has_avx2 = input[3] >> 2 & 1;
     uint8_t *data = malloc(size - OPTIONS ? size - OPTIONS : 1);
     memcpy(data, input + OPTIONS, size - OPTIONS);
     if (options & MEND)

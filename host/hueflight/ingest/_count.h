@@ -4,13 +4,11 @@
  * pixels stay in the cache while all frames of a block pass by, and go to the table once. */
 enum {
     TILE = 64,    /* pixels counted at a time */
-    SPARE = 32,   /* counters between two pixels': powers of two collide in the cache's sets */
     LINE = 64,    /* bytes that come into the cache together */
     AHEAD = 8,    /* frames whose hits are fetched ahead */
     SLACK = 8,    /* bytes that may be read behind a payload: its packet's trailer is longer */
     MOST_FRAMES = 65535 /* what a tile's counters hold */
 };
-enum { ADD, STORE, SATURATE, SUBTRACT };
 
 typedef struct { const uint8_t *bits, *codes; uint16_t hits, used; } Sparse;
 typedef struct { const uint8_t *codes; uint64_t map; uint32_t at, hits; } Piece; /* in one tile */
@@ -27,7 +25,7 @@ struct Count {
     size_t frames;
     void *out; /* (pixel, code) of uint16 or uint32 */
     int wide;
-    int mode, check; /* check: leave a tile alone if one of its counters would not hold the sum */
+    int mode;
     uint8_t *done;   /* (tile,): tiles whose counts are in `out`; others only are added */
     uint16_t *tile, *rows[TILE]; /* counters of the pixels at hand; where each pixel's begin */
     const uint8_t **dense;
@@ -97,109 +95,23 @@ INLINE void count_sparse(uint16_t *const *rows, uint64_t map, const uint8_t *p, 
         rows[LOWEST_BIT(map)][field(codes, 0, bits, fast)]++;
 }
 
-/* What happens to a pixel's row of the table, given the tile's counters of that pixel and the
- * frames without a code: those go to code 0, where the camera's "no photon" and the codes that it
- * did not send belong. One pass: a second one over what the first has written would have to wait
- * until the table's memory has taken it. For both widths of the table's counters. */
-#define DEFINE_ROWS(word, largest) \
-INLINE int over_##word(const word *row, const uint16_t *seen, size_t used, uint16_t rest) \
-{ \
-    word over = (word)(row[0] + rest) < row[0]; \
-    for (size_t code = 0; code < used; code++) \
-        over |= (word)(row[code] + seen[code]) < row[code]; \
-    return over != 0; \
-} \
-INLINE uint16_t put_##word(word *restrict row, uint16_t *restrict seen, size_t used, size_t codes, \
-                           size_t frames, int mode, uint64_t *clipped) \
-{ \
-    const word first = row[0]; \
-    const uint16_t zeros = seen[0]; \
-    uint16_t sum = 0; \
-    if (mode == STORE) { \
-        for (size_t code = 0; code < used; code++) { \
-            sum = (uint16_t)(sum + seen[code]); \
-            row[code] = seen[code]; \
-            seen[code] = 0; \
-        } \
-        for (size_t code = used; code < codes; code++) \
-            row[code] = 0; \
-    } else if (mode == ADD) \
-        for (size_t code = 0; code < used; code++) { \
-            sum = (uint16_t)(sum + seen[code]); \
-            row[code] = (word)(row[code] + seen[code]); \
-            seen[code] = 0; \
-        } \
-    else if (mode == SUBTRACT) \
-        for (size_t code = 0; code < used; code++) { \
-            sum = (uint16_t)(sum + seen[code]); \
-            row[code] = (word)(row[code] - seen[code]); \
-            seen[code] = 0; \
-        } \
-    else \
-        for (size_t code = 0; code < used; code++) { \
-            sum = (uint16_t)(sum + seen[code]); \
-            word room = (word)(largest - row[code]); \
-            word taken = code && seen[code] > room ? room : code ? seen[code] : 0; \
-            *clipped += code ? (uint64_t)(seen[code] - taken) : 0; \
-            row[code] = (word)(row[code] + taken); \
-            seen[code] = 0; \
-        } \
-    const uint16_t photons = (uint16_t)(sum - zeros), rest = (uint16_t)(frames - photons); \
-    if (mode == STORE) \
-        row[0] = rest; \
-    else if (mode == ADD) \
-        row[0] = (word)(first + rest); \
-    else if (mode == SUBTRACT) \
-        row[0] = (word)(first - rest); \
-    else { \
-        word room = (word)(largest - first), taken = rest < room ? (word)rest : room; \
-        *clipped += (uint64_t)(rest - taken); \
-        row[0] = (word)(first + taken); \
-    } \
-    return photons; \
-}
-DEFINE_ROWS(uint16_t, UINT16_MAX)
-DEFINE_ROWS(uint32_t, UINT32_MAX)
-
-/* Photons of a pixel: all counts but code 0. Exact, since a tile sees at most 65 535 frames. */
-INLINE uint16_t row_photons(const uint16_t *seen, size_t used)
-{
-    uint16_t sum = 0;
-    for (size_t code = 0; code < used; code++)
-        sum = (uint16_t)(sum + seen[code]);
-    return (uint16_t)(sum - seen[0]);
-}
-
 /* Add a tile to the table and clear it. */
 INLINE void put_tile(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
 {
-    const size_t codes = (size_t)1 << count->code_bits, stride = codes + SPARE;
+    const size_t codes = (size_t)1 << count->code_bits;
     const size_t used = touched ? codes : 1; /* counters that may differ from 0 */
-    uint16_t *row16 = (uint16_t *)count->out + first * codes;
-    uint32_t *row32 = (uint32_t *)count->out + first * codes;
-    int put = (count->mode == SUBTRACT) == *done, over = 0;
-    if (put && count->check && count->mode == ADD)
-        for (unsigned pixel = 0; pixel < pixels; pixel++) {
-            const uint16_t *seen = count->tile + pixel * stride;
-            uint16_t rest = (uint16_t)(count->frames - row_photons(seen, used));
-            over |= count->wide ? over_uint32_t(row32 + pixel * codes, seen, used, rest)
-                                : over_uint16_t(row16 + pixel * codes, seen, used, rest);
-        }
-    count->pending += (size_t)over;
-    put &= !over;
-    for (unsigned pixel = 0; pixel < pixels; pixel++) {
-        uint16_t *seen = count->tile + pixel * stride;
-        if (!put)
-            memset(seen, 0, used * sizeof *seen);
-        else if (count->wide)
-            count->photons += put_uint32_t(row32 + pixel * codes, seen, used, codes, count->frames,
-                                           count->mode, &count->clipped);
-        else
-            count->photons += put_uint16_t(row16 + pixel * codes, seen, used, codes, count->frames,
-                                           count->mode, &count->clipped);
+    if ((count->mode == SUBTRACT) == *done) {
+        int put = count->wide
+            ? put_uint32_t((uint32_t *)count->out + first * codes, count->tile, pixels, codes, used,
+                           count->frames, count->mode, &count->photons, &count->clipped)
+            : put_uint16_t((uint16_t *)count->out + first * codes, count->tile, pixels, codes, used,
+                           count->frames, count->mode, &count->photons, &count->clipped);
+        count->pending += !put;
+        if (put)
+            *done = count->mode != SUBTRACT;
     }
-    if (put)
-        *done = count->mode != SUBTRACT;
+    for (unsigned pixel = 0; touched && pixel < pixels; pixel++)
+        memset(count->tile + pixel * (codes + SPARE), 0, codes * sizeof *count->tile);
 }
 
 static void put_plain(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
@@ -242,24 +154,43 @@ static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
     return 1;
 }
 
+/* The rows of a tile's pixels are fetched while it is counted, some lines with each frame. */
+typedef struct { const uint8_t *at, *end; size_t lines; } Rows;
+
+INLINE Rows rows_ahead(const Count *count, size_t first, unsigned pixels, size_t steps)
+{
+    const unsigned shift = count->code_bits + (count->wide ? 2 : 1);
+    const uint8_t *at = (const uint8_t *)count->out + (first << shift);
+    const size_t bytes = (size_t)pixels << shift;
+    return (Rows){at, at + bytes, steps ? bytes / LINE / steps + 1 : 0};
+}
+
+INLINE void fetch_rows(Rows *rows)
+{
+    for (size_t i = 0; i < rows->lines && rows->at < rows->end; i++, rows->at += LINE)
+        PREFETCH_ROW(rows->at);
+}
+
 /* Bytes that the next tile needs are fetched while this one is counted: all frames of a tile lie
  * between, enough for the slowest memory. */
-INLINE void count_dense_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits,
-                             const int fast)
+INLINE void count_dense_tile(Count *count, size_t first, unsigned at, unsigned pixels,
+                             const unsigned bits, const int fast)
 {
     const unsigned tile_bytes = TILE / 8 * bits;
+    Rows rows = rows_ahead(count, first + at, pixels, count->dense_count);
     for (size_t i = 0; i < count->dense_count; i++) {
         const uint8_t *p = count->dense[i] + at / 8 * bits;
         for (unsigned next = tile_bytes + LINE / 2; next < 2 * tile_bytes + LINE; next += LINE)
             PREFETCH(p + next);
+        fetch_rows(&rows);
         count_dense(count->tile, p, pixels, bits, fast);
     }
 }
 
 /* Frames are taken in order of their hits in this tile: a loop whose length changes from frame to
  * frame costs more in wrong guesses of the processor than in counting. */
-INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, const unsigned bits,
-                                  const int fast)
+INLINE unsigned count_sparse_tile(Count *count, size_t first, unsigned at, unsigned pixels,
+                                  const unsigned bits, const int fast)
 {
     const uint64_t inside = pixels < TILE ? ((uint64_t)1 << pixels) - 1 : ~(uint64_t)0;
     uint32_t place[TILE + 1] = {0};
@@ -281,10 +212,12 @@ INLINE unsigned count_sparse_tile(Count *count, unsigned at, unsigned pixels, co
     }
     for (size_t i = 0; i < count->sparse_count; i++)
         count->sorted[place[count->found[i].hits]++] = count->found[i];
+    Rows rows = rows_ahead(count, first + at, pixels, count->sparse_count - place[0]);
     for (size_t i = place[0]; i < count->sparse_count; i++) {
         const Piece *piece = &count->sorted[i];
         if (i + AHEAD < count->sparse_count)
             PREFETCH_NOW(piece[AHEAD].codes + piece[AHEAD].at / 8);
+        fetch_rows(&rows);
         count_sparse(count->rows, piece->map, piece->codes, piece->at, piece->hits, bits, fast);
     }
     return (unsigned)(count->sparse_count - place[0]);
@@ -301,11 +234,11 @@ INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const in
         unsigned pixels = shape.pixels - at < TILE ? shape.pixels - at : TILE;
         int touched = count->dense_count > 0;
         if (pixels == TILE)
-            count_dense_tile(count, at, TILE, bits, fast);
+            count_dense_tile(count, first, at, TILE, bits, fast);
         else
-            count_dense_tile(count, at, pixels, bits, fast);
+            count_dense_tile(count, first, at, pixels, bits, fast);
         if (count->sparse_count)
-            touched |= count_sparse_tile(count, at, pixels, bits, fast) > 0;
+            touched |= count_sparse_tile(count, first, at, pixels, bits, fast) > 0;
         count->put(count, first + at, pixels, touched, done);
     }
     return 1;

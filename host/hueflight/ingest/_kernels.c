@@ -14,6 +14,7 @@
 #include "_wire.h"
 #include "_crc32c.h"
 #include "_scan.h"
+#include "_rows.h"
 #include "_count.h"
 
 typedef struct { Py_buffer view; int held; } Held;
@@ -51,8 +52,9 @@ static PyObject *py_scan(PyObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "OnpiiinniOOOOO", &data, &start, &final, &rows, &cols, &bits,
                           &frames, &limit, &run, &state, &chunks, &headers, &places, &others))
         return NULL;
-    if (start < 0 || frames < 0 || frames > limit || run < 0 || run > MAX_RUN || run % 8 || limit < 1 || limit > MOST_FRAMES || rows < 1 || rows > MAX_SIDE || cols < 1
-        || cols > MAX_SIDE || bits < 1 || bits > MAX_BITS) {
+    if (start < 0 || frames < 0 || frames > limit || limit < 1 || limit > MOST_FRAMES || run < 0
+        || run > MAX_RUN || run % 8 || rows < 1 || rows > MAX_SIDE || cols < 1 || cols > MAX_SIDE
+        || bits < 1 || bits > MAX_BITS) {
         PyErr_SetString(PyExc_ValueError, "scan: argument out of range");
         return NULL;
     }
@@ -93,16 +95,16 @@ static PyObject *py_scan(PyObject *self, PyObject *args)
     return answer;
 }
 
-/* count(data, chunks, stride, chosen, pixels, code_bits, run, out, wide, mode, check, done,
- *       begin, end) -> (photons, clipped, pending) */
+/* count(data, chunks, stride, chosen, pixels, code_bits, run, out, wide, mode, done, begin,
+ *       end) -> (photons, clipped, pending) */
 static PyObject *py_count(PyObject *self, PyObject *args)
 {
     (void)self;
     PyObject *data, *chunks, *chosen, *out, *done, *answer = NULL;
     Py_ssize_t stride, begin, end;
-    int pixels, bits, run, wide, mode, check;
-    if (!PyArg_ParseTuple(args, "OOnOiiiOpipOnn", &data, &chunks, &stride, &chosen, &pixels, &bits,
-                          &run, &out, &wide, &mode, &check, &done, &begin, &end))
+    int pixels, bits, run, wide, mode;
+    if (!PyArg_ParseTuple(args, "OOnOiiiOpiOnn", &data, &chunks, &stride, &chosen, &pixels, &bits,
+                          &run, &out, &wide, &mode, &done, &begin, &end))
         return NULL;
     if (pixels < 1 || pixels > MAX_SIDE * MAX_SIDE || bits < 1 || bits > MAX_BITS || run < MIN_RUN
         || run > MAX_RUN || run % 8 || mode < ADD || mode > SUBTRACT || stride < 1 || begin < 0
@@ -122,7 +124,7 @@ static PyObject *py_count(PyObject *self, PyObject *args)
             .pixels = (unsigned)pixels, .code_bits = (unsigned)bits, .run = (unsigned)run,
             .chunks = held[1].view.buf, .stride = (size_t)stride, .chosen = held[2].view.buf,
             .frames = (size_t)held[2].view.len / 4, .out = held[3].view.buf, .wide = wide,
-            .mode = mode, .check = check, .done = held[4].view.buf,
+            .mode = mode, .done = held[4].view.buf,
         };
         int fits = count.frames <= MOST_FRAMES;
         for (size_t i = 0; i < count.frames; i++)

@@ -17,6 +17,7 @@
 #define INLINE static inline __attribute__((always_inline))
 #define PREFETCH_NOW(p) __builtin_prefetch(p)       /* into the first cache, for soon */
 #define PREFETCH(p) __builtin_prefetch(p, 0, 2) /* into the second, for later */
+#define PREFETCH_ROW(p) __builtin_prefetch(p, 1, 2) /* there, to be written to */
 #define LOWEST_BIT(m) ((unsigned)__builtin_ctzll(m))
 #define POPCOUNT(m) ((unsigned)__builtin_popcountll(m))
 

@@ -87,7 +87,6 @@ class Kernels(Protocol):
         out: NDArray[np.unsignedinteger[Any]],
         wide: bool,
         mode: int,
-        check: bool,
         done: NDArray[np.uint8],
         begin: int,
         end: int,

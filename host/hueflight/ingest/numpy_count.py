@@ -32,7 +32,6 @@ def count(
     out: NDArray[np.unsignedinteger[Any]],
     wide: bool,
     mode: int,
-    check: bool,
     done: NDArray[np.uint8],
     begin: int,
     end: int,
@@ -53,9 +52,8 @@ def count(
     out : uint16 or (if `wide`) uint32 array of ``pixels << code_bits`` elements, changed
         Counts (pixel, code). Code 0 gets what no other code of a pixel got.
     mode : int
-        ADD to `out`; STORE over it; SATURATE: add up to the largest count; SUBTRACT.
-    check : bool
-        With ADD: leave alone the tiles of which a counter would not hold the sum.
+        ADD to `out`, but leave alone the tiles of which a counter would not hold the sum; STORE
+        over it; SATURATE: add up to the largest count; SUBTRACT.
     done : uint8 array, a tile each, changed
         Tiles that have been added. Only others are added; only these are subtracted.
     begin, end : int
@@ -80,7 +78,7 @@ def count(
             rows = table[first + part.start : first + part.stop]
             if (mode == SUBTRACT) != bool(marks[chunk, tile]):
                 continue
-            more, over = _put(rows, seen[part], mode, check)
+            more, over = _put(rows, seen[part], mode)
             left += over
             if over:
                 continue
@@ -91,7 +89,7 @@ def count(
 
 
 def _put(
-    rows: NDArray[np.unsignedinteger[Any]], seen: NDArray[np.uint16], mode: int, check: bool
+    rows: NDArray[np.unsignedinteger[Any]], seen: NDArray[np.uint16], mode: int
 ) -> tuple[int, bool]:
     """Add to rows of the table; return clipped counts and whether a counter was too small."""
     largest = rows.dtype.type(np.iinfo(rows.dtype).max)
@@ -103,7 +101,7 @@ def _put(
         taken = np.minimum(seen, largest - rows)
         rows += taken
         return int((seen - taken).sum(dtype=np.intp)), False
-    elif check and (seen > largest - rows).any():
+    elif (seen > largest - rows).any():
         return 0, True
     else:
         rows += seen

@@ -96,9 +96,6 @@ class Table:
         self._unwritten = [] if out is not None else [(0, rows)]
         fresh = np.empty(shape, np.uint16) if reuse is None else reuse
         self.counts: Counts = fresh if out is None else out
-        # no counter is larger than this; while it and the new frames fit, nothing is checked;
-        # of counts from elsewhere it is not known
-        self._largest = 0 if out is None else int(np.iinfo(out.dtype).max)
         self.photons = 0
         self.clipped = 0
 
@@ -129,20 +126,17 @@ class Table:
     def _add(
         self, data: Buffer, frames: Scanner, chosen: NDArray[np.uint32], row: int, fresh: bool
     ) -> None:
-        limit = int(np.iinfo(self.counts.dtype).max)
-        check = self._largest + chosen.size > limit
-        mode = STORE if fresh else SATURATE if check and self._overflow == "saturate" else ADD
+        mode = STORE if fresh else SATURATE if self._overflow == "saturate" else ADD
         rows = slice(row, row + frames.sensor.rows)
         chunks = -(-frames.sensor.rows * frames.sensor.cols // frames.run)
         done = np.zeros((chunks, -(-frames.run // TILE)), np.uint8)
-        left = self._run(data, frames, chosen, rows, mode, check, done)
+        left = self._run(data, frames, chosen, rows, mode, done)
         if left and (self._overflow == "error" or self.counts.dtype == np.uint32):
-            self._run(data, frames, chosen, rows, SUBTRACT, False, done)
+            self._run(data, frames, chosen, rows, SUBTRACT, done)
             raise full_error(self.counts.dtype, chosen.size)
         if left:
             self.counts = self.counts.astype(np.uint32)
-            self._run(data, frames, chosen, rows, ADD, False, done)
-        self._largest = min(self._largest + chosen.size, int(np.iinfo(self.counts.dtype).max))
+            self._run(data, frames, chosen, rows, ADD, done)
 
     def _run(
         self,
@@ -151,7 +145,6 @@ class Table:
         chosen: NDArray[np.uint32],
         rows: slice,
         mode: int,
-        check: bool,
         done: NDArray[np.uint8],
     ) -> int:
         """Let the kernel loose on all chunks; return the tiles that it left alone."""
@@ -170,7 +163,6 @@ class Table:
                 out,
                 out.dtype == np.uint32,
                 mode,
-                check,
                 done,
                 begin,
                 end,

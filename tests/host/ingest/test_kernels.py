@@ -58,7 +58,7 @@ def through(
             chosen = np.arange(found.frames, dtype=np.uint32)
             counted = kernels.count(
                 data, chunks, found.stride, chosen, rows * cols, code_bits, found.run,
-                out, False, ADD, False, done, 0, count,
+                out, False, ADD, done, 0, count,
             )  # fmt: skip
             said += [counted, done.tolist()]
         position = found.position

@@ -17,9 +17,9 @@ class OutputLimiter(wiring.Component):
 
     *Duty*: a level rises by ``duty_divisor - 1`` with every tick that is demanded on and falls
     by one with every other tick, but not below 0; a clock passes only while the level, that
-    clock's demand included, is at most ``duty_divisor * burst_ticks``. Within any stretch of
-    L ticks the channel is thus on for at most ``L / duty_divisor + burst_ticks``. The level
-    stops at `ceiling`, so that a demand that stays too high is forgiven in bounded time.
+    clock's demand included, is at most `threshold`. Within any stretch of L ticks the channel is
+    thus on for at most ``L / duty_divisor + burst_ticks``. The level stops at `ceiling`, so that
+    a demand that stays too high is forgiven in bounded time.
 
     Both look at the demand, not at what passed: there is no loop through the output, the
     pipeline can be cut anywhere, and what passes is part of what was allowed.
@@ -40,6 +40,8 @@ class OutputLimiter(wiring.Component):
     def __init__(self, limits: Limits, *, lanes: int) -> None:
         self.limits = limits
         self.lanes = lanes
+        top = self.ceiling + limits.duty_divisor * lanes + 1
+        self.duty_level = Signal(range(-lanes, top))  # three clocks after the demand
         super().__init__(
             {
                 "demand": In(lanes),
@@ -49,6 +51,15 @@ class OutputLimiter(wiring.Component):
                 "duty_limited": Out(1),
             }
         )
+
+    @property
+    def threshold(self) -> int:
+        """Highest duty level at which a clock passes.
+
+        The level is that of whole clocks; a stretch that begins and ends within clocks can have
+        up to ``lanes - 1`` more at either end.
+        """
+        return self.limits.duty_divisor * self.limits.burst_ticks - 2 * (self.lanes - 1)
 
     @property
     def ceiling(self) -> int:
@@ -135,11 +146,11 @@ class OutputLimiter(wiring.Component):
                     m.d.pulse += change2.eq(divisor * pattern.bit_count() - self.lanes)
 
         # 3: the level; its bounds act on the way back, so that they are tests of one bit each
-        level = Signal(range(-self.lanes, self.ceiling + divisor * self.lanes + 1))
+        level = self.duty_level
         below = level[-1]
         above = level[self.ceiling.bit_length() - 1] & ~below
         m.d.pulse += level.eq(Mux(below, 0, Mux(above, self.ceiling, level)) + change2)
 
         # 4
-        m.d.pulse += over4.eq(level > divisor * self.limits.burst_ticks)
+        m.d.pulse += over4.eq(level > self.threshold)
         return over4

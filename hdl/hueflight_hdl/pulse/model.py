@@ -197,13 +197,14 @@ def _duty_allows(demand: np.ndarray, limits: Limits, *, lanes: int) -> np.ndarra
     allows = np.ones(len(on), bool)
     if divisor == 1:
         return allows
-    threshold = divisor * limits.burst_ticks
+    # whole clocks are added up: a stretch of ticks may have lanes - 1 more at either end
+    threshold = divisor * limits.burst_ticks - 2 * (lanes - 1)
     changes = divisor * on - lanes
     walk = np.cumsum(changes)
     if (walk - np.minimum.accumulate(np.minimum(walk, 0))).max(initial=0) <= threshold:
         return allows  # the level never comes near the limit, let alone the ceiling
     ceiling = 1
-    while ceiling < 2 * threshold:
+    while ceiling < 2 * divisor * limits.burst_ticks:
         ceiling *= 2
     level = 0
     for clock, change in enumerate(changes.tolist()):

@@ -32,11 +32,13 @@ def bench(simulator: None) -> Callable[[PulseConfig], PulseBench]:
     return make
 
 
-def random_schedule(rng: np.random.Generator, config: PulseConfig) -> Schedule:
+def random_schedule(
+    rng: np.random.Generator, config: PulseConfig, *, longest: int = 4096
+) -> Schedule:
     """Anything that registers can hold, often something that makes sense."""
     shortest = 8 * config.lanes
     period = int(
-        rng.choice([256, 128, rng.integers(shortest, 300 + shortest), rng.integers(1, 4097)])
+        rng.choice([256, 128, rng.integers(shortest, 300 + shortest), rng.integers(1, longest + 1)])
     )
 
     def pulse() -> Pulse:

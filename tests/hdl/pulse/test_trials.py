@@ -1,0 +1,184 @@
+"""The whole illuminator against the plain model: every edge of every LED, equal to the tick."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hueflight_hdl.designs.illuminator import IlluminatorConfig
+from hueflight_hdl.gearing.ecp5 import Ecp5Gearing
+from hueflight_hdl.gearing.plain import DoubleGearing, SingleGearing
+from hueflight_hdl.gearing.seam import Gearing
+from hueflight_hdl.pulse.config import Limits, PulseConfig
+from hueflight_hdl.pulse.model import Pulse, Schedule
+from hueflight_hdl.simulation.illuminator_trials import (
+    Prediction,
+    Trial,
+    TrialBench,
+    predictions,
+)
+
+from .conftest import random_schedule, random_trigger
+
+GEARINGS: dict[str, Gearing] = {
+    "1:1": SingleGearing(),
+    "2:1": DoubleGearing(),
+    "4:1": Ecp5Gearing(),
+}
+# usual limits, tight ones, and none that matters
+LIMITS = (Limits(), Limits(40, 4, 40), Limits(1000, 1, 1000))
+Make = Callable[..., TrialBench]
+
+
+def small_config(lanes: int) -> IlluminatorConfig:
+    pulse = PulseConfig(channels=3, pulses=4, steps=2, lanes=lanes, limits=LIMITS)
+    return IlluminatorConfig(pulse, pulse_hz=20e6, clock_ratio=1 if lanes == 1 else 2, baud=1e6)
+
+
+@pytest.fixture(scope="module")
+def make_bench(simulator: None) -> Make:
+    """A bench for a gearing, compiled once."""
+    benches: dict[str, TrialBench] = {}
+
+    def make(gearing: str) -> TrialBench:
+        if gearing not in benches:
+            found = GEARINGS[gearing]
+            benches[gearing] = TrialBench(small_config(found.lanes), found)
+        return benches[gearing]
+
+    return make
+
+
+def random_trial(rng: np.random.Generator, config: PulseConfig) -> Trial:
+    """Two schedules, and arming, swap and disarming anywhere in their trains."""
+    clocks, lanes = 1400, config.lanes
+    banks = tuple(random_schedule(rng, config, longest=1024 * lanes) for _ in range(2))
+    period = banks[int(rng.integers(2))].period
+    trigger = random_trigger(rng, ticks=clocks * lanes, lanes=lanes, period=period)
+    trigger[-8:] = False
+    # requests must not overtake one another: they take up to 300 clocks
+    return Trial(
+        (banks[0], banks[1]),
+        trigger,
+        arm=2 * int(rng.integers(0, 60)),
+        swap=2 * int(rng.integers(160, 330)) if rng.random() < 0.8 else None,
+        disarm=2 * int(rng.integers(480, 600)) if rng.random() < 0.5 else None,
+        restart=bool(rng.integers(2)),
+        falling=bool(rng.integers(2)),
+    )
+
+
+def assert_equal(bench: TrialBench, trial: Trial) -> Prediction:
+    """Play a trial; one of what the model allows must be what came out, all of it."""
+    shot = bench.play(trial)
+    nearest = None
+    for wanted in predictions(bench.config.pulse, trial, shot):
+        wrong = np.argwhere(shot.levels != wanted.levels)
+        if not len(wrong):
+            return wanted
+        nearest = wrong if nearest is None or len(wrong) < len(nearest) else nearest
+    assert nearest is not None
+    channel, tick = nearest[0]
+    raise AssertionError(f"channel {channel}, tick {tick} and {len(nearest) - 1} more: {trial}")
+
+
+def assert_trials(bench: TrialBench, *, trials: int, seed: int) -> None:
+    """Compare edges in every trial, and what the board counted in all of them together."""
+    rng = np.random.default_rng(seed)
+    before = np.array(bench.counters())
+    seen = served = ignored = restarts = swaps = lit = 0
+    bank = None
+    phases = np.zeros(bench.config.pulse.lanes, int)
+    for _ in range(trials):
+        found = assert_equal(bench, random_trial(rng, bench.config.pulse))
+        lit += int(found.levels.any())
+        seen += len(found.trains) + found.ignored
+        served += len(found.trains)
+        ignored += found.ignored
+        restarts += sum(train.restarted for train in found.trains)
+        for train in found.trains:
+            swaps += bank is not None and train.choice.bank != bank
+            bank = train.choice.bank
+        phases += np.bincount([t.tick % len(phases) for t in found.trains], minlength=len(phases))
+    # the first train's bank may differ from that of the last one before
+    counted = np.array(bench.counters()) - before
+    assert counted[:4].tolist() == [seen, served, ignored, restarts]
+    assert counted[4] - swaps in (0, 1)
+    # the stimuli do what they should: light, swaps, ignored triggers, restarts, every phase
+    assert lit > trials / 2
+    assert min(ignored, restarts, swaps, *phases) > trials / 4
+
+
+def test_random_trials(make_bench: Make):
+    """160 random schedules in the gearing of ECP5."""
+    assert_trials(make_bench("4:1"), trials=80, seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gearing", "trials"), [("1:1", 800), ("2:1", 1400), ("4:1", 2900)])
+def test_ten_thousand_schedules(make_bench: Make, gearing: str, trials: int):
+    """Two schedules a trial: 10 200 in all, with some hundred thousand triggers at all phases."""
+    assert_trials(make_bench(gearing), trials=trials, seed=trials)
+
+
+def one_trigger(tick: int, *, clocks: int, lanes: int) -> np.ndarray:
+    level = np.zeros(clocks * lanes, bool)
+    level[tick : tick + 5] = True
+    return level
+
+
+@pytest.mark.parametrize(
+    "gearing",
+    [pytest.param(name, marks=() if name == "4:1" else pytest.mark.slow) for name in GEARINGS],
+)
+def test_the_first_shot(make_bench: Make, gearing: str):
+    """The first trigger ever after configuration, at each of its phases."""
+    lanes = GEARINGS[gearing].lanes
+    pulses = [[Pulse(5, 7), Pulse(40, 3)] + [Pulse(0, 0)] * 2] * 3
+    bank = Schedule(256, 7, pulses)
+    for phase in range(lanes):
+        bench = make_bench(gearing)
+        bench.configure()
+        trigger = one_trigger(400 * lanes + phase, clocks=800, lanes=lanes)
+        found = assert_equal(bench, Trial((bank, bank), trigger))
+        assert found.levels.sum() == 3 * (7 + 3)
+
+
+def test_a_missed_trigger_is_told_to_the_camera(make_bench: Make):
+    """High for sixteen clocks after each, so that a camera at a tenth of the clock sees it."""
+    bench = make_bench("4:1")
+    bank = Schedule(256, 7, [[Pulse(5, 7)] + [Pulse(0, 0)] * 3] * 3)
+    trigger = np.zeros(4 * 900, bool)
+    for clock in (300, 340, 500, 530):  # the second and the fourth come within 64 clocks
+        trigger[4 * clock : 4 * clock + 4] = True
+    missed = bench.play(Trial((bank, bank), trigger)).missed
+    change = np.diff(missed.astype(int))
+    rises, falls = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
+    assert len(rises) == 2
+    assert ((falls - rises) == 16).all()
+    assert rises[1] - rises[0] == 530 - 340
+    assert bench.gearing.input_latency < rises[0] - 340 < bench.latency_clocks
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gearing", GEARINGS)
+def test_the_papers_schedule_from_pin_to_pin(simulator: None, gearing: str):
+    """Table 1: rising edges at 0, 24, 48 … 192 ticks, 8 ticks wide, at every phase."""
+    found = GEARINGS[gearing]
+    lanes = found.lanes
+    pulse = PulseConfig(channels=9, pulses=1, steps=1, lanes=lanes)
+    bench = TrialBench(IlluminatorConfig(pulse, pulse_hz=20e6, baud=1e6), found)
+    # a train is busy for less than its period, so that the next trigger may come early
+    bank = Schedule(256 - lanes, 0x1FF, [[Pulse(24 * channel, 8)] for channel in range(9)])
+    starts = [600 * lanes + 257 * number for number in range(12)]  # each phase in turn
+    trigger = np.zeros(600 * lanes + 257 * 14 // lanes * lanes, bool)
+    for start in starts:
+        trigger[start : start + 5] = True
+    levels = bench.play(Trial((bank, bank), trigger)).levels
+    for channel, level in enumerate(levels):
+        change = np.diff(np.concatenate(([0], level.astype(int))))
+        wanted = [start + 24 * channel for start in starts]
+        assert np.flatnonzero(change > 0).tolist() == wanted
+        assert np.flatnonzero(change < 0).tolist() == [start + 8 for start in wanted]

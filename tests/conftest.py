@@ -1,4 +1,4 @@
-"""Switch for the fuller tests, and where real measurements lie if they are there."""
+"""Switch for the fuller tests, their order, and where real measurements lie if they are there."""
 
 from pathlib import Path
 
@@ -14,6 +14,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--full"):
+        # files with long tests begin first, so that no core waits at the end for another
+        slow = {item.path for item in items if "slow" in item.keywords}
+        items.sort(key=lambda item: item.path not in slow)
         return
     skip = pytest.mark.skip(reason="slow: runs with --full")
     for item in items:

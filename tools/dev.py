@@ -78,7 +78,7 @@ def test(arguments: list[str]) -> None:
     chosen = [word for word in arguments if word != "--full"]
     run([str(BIN / "ruff"), "check", "."])
     run([str(BIN / "basedpyright"), "--level", "error"])
-    workers = ["-n", str(os.cpu_count() or 1), "--dist", "loadfile"]
+    workers = ["-n", str(os.cpu_count() or 1), "--dist", "loadfile", "--no-loadscope-reorder"]
     run([str(BIN / "pytest"), *workers, *(["--full", "--durations=30"] if full else []), *chosen])
 
 

@@ -106,6 +106,7 @@ _FEATURES = (
     Field("temperature", 1, "the temperature is measured"),
     Field("sensor", 1, "a sensor is attached; without it only the synthetic one"),
     Field("scene", 1, "the synthetic sensor has a scene"),
+    Field("overlap", 1, "the sensor keeps its codes while it exposes: readouts may overlap"),
 )
 
 _STATE = (
@@ -148,6 +149,20 @@ def _run() -> list[Register]:
         ),
         Register(
             "gap", 0x01C, rw, value(32, "", unit="clock"), "pause between readout and next exposure"
+        ),
+        Register(
+            "readout",
+            0x031,
+            rw,
+            (
+                Field(
+                    "overlap",
+                    1,
+                    "an exposure follows the one before, while that one is read out; "
+                    "the gap lies between exposures",
+                ),
+            ),
+            "when the sensor is read; of no effect without the feature",
         ),
         Register("frame_limit", 0x01D, rw, value(32, "0 = until stopped"), "frames in a capture"),
         Register(

@@ -43,6 +43,8 @@ class CameraConfig:
         `FrameFormat.max_packet_words` no admitted frame is ever aborted for want of room.
     sensor : bool
         A sensor is attached; without it only the synthetic one.
+    overlap : bool
+        The attached sensor keeps its codes while it exposes anew, as the synthetic one does.
     scene : Scene, optional
         Of the synthetic sensor.
     patience : int
@@ -62,6 +64,7 @@ class CameraConfig:
     buffer_words: int = 512
     admit_words: int = 64
     sensor: bool = False
+    overlap: bool = True
     scene: Scene | None = None
     patience: int = PATIENCE_CLOCKS
     serial: int = 0
@@ -141,7 +144,9 @@ class Camera(wiring.Component):
             "serial": self.config.serial,
             "source": self.config.source,
             "features": registers["features"].encode(
-                sensor=self.config.sensor, scene=self.config.scene is not None
+                sensor=self.config.sensor,
+                scene=self.config.scene is not None,
+                overlap=self.config.overlap or not self.config.sensor,
             ),
         }
 
@@ -182,6 +187,9 @@ class Camera(wiring.Component):
             settings.trigger_inverted.eq(registers.trigger.inverted),
             settings.trigger_always.eq(registers.trigger.always),
             settings.sync_width.eq(registers.trigger.sync_width),
+            settings.overlap.eq(
+                registers.readout.overlap & (self.config.overlap or not self.config.sensor)
+            ),
             exposure.start.eq(registers.run.start),
             exposure.stop.eq(registers.run.stop),
             exposure.abort.eq(registers.run.abort),
@@ -202,13 +210,14 @@ class Camera(wiring.Component):
         # one sensor from the exposure to the end of its readout
         with m.If(~exposure.exposing & ~exposure.read & ~guard.busy):
             m.d.sync += chosen.eq(registers.synthetic.enable | (not self.config.sensor))
+        # a clock later: far from all else, and clocks before the first readout
+        m.d.sync += self._synthetic.began.eq(exposure.began)
         m.d.comb += [
             settings.source.eq(registers.synthetic.source),
             settings.occupancy.eq(registers.synthetic.occupancy),
             settings.seed.eq(registers.synthetic_seed.value),
             settings.delay_start.eq(registers.synthetic_delay.start),
             settings.delay_step.eq(registers.synthetic_delay.step),
-            self._synthetic.began.eq(exposure.began),
             inner.expose.eq(exposure.expose & chosen),
             inner.read.eq(exposure.read & chosen),
             outer.expose.eq(exposure.expose & ~chosen),

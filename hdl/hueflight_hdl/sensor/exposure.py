@@ -13,12 +13,13 @@ EXPOSURE_LAYOUT = data.StructLayout(
     {
         "period": 16,  # clocks; 0 as 1
         "periods": 32,  # of an exposure; 0 reads out at once
-        "gap": 32,  # clocks from readout to exposure
+        "gap": 32,  # clocks from the end of the readout to the exposure
         "frame_limit": 32,  # 0 = until stopped
         "trigger_width": 8,  # clocks; 0 = no triggers
         "trigger_inverted": 1,
         "trigger_always": 1,  # between exposures too
         "sync_width": 8,  # clocks
+        "overlap": 1,  # the next exposure does not wait for the readout; the gap is from its begin
     }
 )
 """Settings; those of time are taken over when an exposure begins."""
@@ -26,6 +27,10 @@ EXPOSURE_LAYOUT = data.StructLayout(
 
 class ExposureControl(wiring.Component):
     """Runs captures: exposure, readout, gap, and again.
+
+    With a sensor that keeps its codes while it exposes, readouts may overlap exposures: after
+    an exposure its readout begins, or waits for the one before to be over, and the next
+    exposure follows at once.
 
     A trigger begins each period of an exposure; the frame sync begins with the first one, and
     has the illuminator step on, whose marker is sampled when the exposure ends.
@@ -118,6 +123,7 @@ class ExposureControl(wiring.Component):
         left = Signal(32)  # periods
         gap = Signal(32)
         limited, frames_left = Signal(), Signal(32)
+        no_more = Signal()  # exposures in this capture
         starting = self.starting
         with m.If(self.start):
             m.d.sync += starting.eq(1)
@@ -130,6 +136,15 @@ class ExposureControl(wiring.Component):
         with m.If(self.abort):
             m.d.sync += aborting.eq(1)
 
+        reading, read_out = Signal(), Signal()  # read_out: nothing is left to be read
+        m.d.comb += read_out.eq(~reading | self.read_done)
+        with m.If(reading & self.read_done):
+            m.d.sync += [reading.eq(0), self.frame.eq(self.frame + 1)]
+        timestamp, periods, step = (
+            Signal.like(told, name=f"next_{told.name}")
+            for told in (self.timestamp, self.periods, self.step)
+        )  # of the present exposure
+
         with m.FSM():
             with m.State("IDLE"):
                 m.d.sync += [self.stopping.eq(0), aborting.eq(0)]
@@ -139,6 +154,7 @@ class ExposureControl(wiring.Component):
                         starting.eq(0),
                         self.running.eq(1),
                         self.frame.eq(0),
+                        no_more.eq(0),
                         limited.eq(settings.frame_limit != 0),
                         frames_left.eq(settings.frame_limit),
                     ]
@@ -147,44 +163,58 @@ class ExposureControl(wiring.Component):
                 # settings are those of this clock; a free-running period is waited for
                 m.d.comb += restart.eq(~settings.trigger_always)
                 with m.If(cut | self.stopping):
-                    m.next = "END"
+                    m.next = "SETTLE"
                 with m.Elif(restart | period_ends):
                     m.d.sync += [
                         left.eq(settings.periods),
-                        self.periods.eq(settings.periods),
-                        self.timestamp.eq(self.now + 1),
+                        periods.eq(settings.periods),
+                        timestamp.eq(self.now + 1),
                         self.exposing.eq(settings.periods != 0),
                     ]
                     m.next = "EXPOSE"
             with m.State("EXPOSE"):
                 with m.If(cut):
                     m.d.sync += self.exposing.eq(0)
-                    m.next = "END"
+                    m.next = "SETTLE"
                 with m.Elif(~self.exposing | (period_ends & (left == 1))):
-                    m.d.sync += [self.exposing.eq(0), self.step.eq(self.marker)]
+                    m.d.sync += [self.exposing.eq(0), step.eq(self.marker)]
                     m.next = "READ"
                 with m.Elif(period_ends):
                     m.d.sync += left.eq(left - 1)
             with m.State("READ"):
-                m.d.comb += self.read.eq(1)
-                m.next = "WAIT"
+                m.d.comb += self.read.eq(~reading)
+                with m.If(~reading):
+                    m.d.sync += [
+                        reading.eq(1),
+                        self.timestamp.eq(timestamp),
+                        self.periods.eq(periods),
+                        self.step.eq(step),
+                        frames_left.eq(frames_left - 1),
+                        no_more.eq(limited & (frames_left == 1)),
+                        gap.eq(settings.gap),
+                    ]
+                    m.next = "WAIT"
+                    with m.If(settings.overlap):
+                        m.next = "GAP"
+                with m.Elif(cut):
+                    m.next = "SETTLE"
             with m.State("WAIT"):
                 m.d.comb += self.give_up.eq(cut)
-                with m.If(self.read_done):
-                    m.d.sync += [
-                        self.frame.eq(self.frame + 1),
-                        gap.eq(settings.gap),
-                        frames_left.eq(frames_left - 1),
-                    ]
+                with m.If(read_out):
+                    m.d.sync += gap.eq(settings.gap)
                     m.next = "GAP"
-                    with m.If(cut | self.stopping | (limited & (frames_left == 1))):
+                    with m.If(cut | self.stopping | no_more):
                         m.next = "END"
             with m.State("GAP"):
                 m.d.sync += gap.eq(gap - 1)
-                with m.If(cut | self.stopping):
-                    m.next = "END"
+                with m.If(cut | self.stopping | no_more):
+                    m.next = "SETTLE"
                 with m.Elif(gap <= 1):
                     m.next = "ALIGN"
+            with m.State("SETTLE"):
+                m.d.comb += self.give_up.eq(cut & reading)
+                with m.If(read_out):
+                    m.next = "END"
             with m.State("END"):
                 m.d.comb += self.ended.eq(1)
                 m.d.sync += self.running.eq(0)

@@ -3,7 +3,9 @@
 What a readout must keep to:
 
 1. Light counts while ``expose`` is high. The clock after it falls, ``read`` is high for one
-   clock and asks for the codes of that exposure; never before the readout before is over.
+   clock and asks for the codes of that exposure; never before the readout before is over. Only
+   if the sensor keeps codes while it exposes, and is asked to, does ``expose`` rise again
+   before a readout is over; should that take longer than the exposure, ``read`` comes later.
 2. Codes come in readout order, row after row and column after column, ``lanes`` of them in
    each clock in which ``beats.valid`` is high, the first in lane 0. Rows run on into each
    other; only in a frame's last beat may lanes be left over, and what they carry is ignored.

@@ -34,10 +34,11 @@ class CameraSettings:
     ----------
     period_clocks : one LED train.
     exposure_periods : trains in an exposure.
-    gap_clocks : pause between readout and next exposure.
+    gap_clocks : pause between readout and next exposure; if they overlap, between exposures.
     status_interval : frames from one status packet to the next, 0 for none.
     rate_hz : frames per second that come of it; a little less than asked for, where readouts
         leave no more time.
+    overlap : an exposure is on while the one before is read out.
     """
 
     period_clocks: int
@@ -45,10 +46,15 @@ class CameraSettings:
     gap_clocks: int
     status_interval: int
     rate_hz: float
+    overlap: bool = False
 
     @classmethod
-    def of(cls, instrument: Instrument, *, clock_hz: int, lanes: int) -> CameraSettings:
+    def of(
+        cls, instrument: Instrument, *, clock_hz: int, lanes: int, can_overlap: bool = False
+    ) -> CameraSettings:
         """Settings that give an instrument's period, exposure and frame rate.
+
+        Readouts overlap exposures where the sensor allows it and the rate can't be had otherwise.
 
         Raises
         ------
@@ -73,19 +79,21 @@ class CameraSettings:
         periods = max(1, round(exposure_ns / period_ns))
         readout = -(-sensor.rows * sensor.cols // lanes)
         exposed = periods * period_clocks
-        gap = 0
-        if sensor.frame_rate_hz is not None:
-            gap = max(0, round(clock_hz / sensor.frame_rate_hz) - exposed - readout)
-        rate = clock_hz / (exposed + readout + gap)
+        wanted = round(clock_hz / sensor.frame_rate_hz) if sensor.frame_rate_hz else 0
+        overlap = can_overlap and 0 < wanted < exposed + readout
+        taken = exposed if overlap else exposed + readout
+        gap = max(0, wanted - taken)
+        rate = clock_hz / max(taken + gap, readout)
         if sensor.frame_rate_hz is not None and rate < LEAST_RATE * sensor.frame_rate_hz:
-            left_ms = 1e3 * (1 / sensor.frame_rate_hz - readout / clock_hz)
+            left_ms = 1e3 * (1 / sensor.frame_rate_hz - (not overlap) * readout / clock_hz)
+            when = "during" if overlap else "after"
             raise WrongDeviceError(
                 f"sensor.frame_rate_hz = {sensor.frame_rate_hz}: this camera reads out for "
-                f"{1e3 * readout / clock_hz:.4g} ms after each exposure, so that exposures of "
+                f"{1e3 * readout / clock_hz:.4g} ms {when} each exposure, so that exposures of "
                 f"{exposure_ns / 1e6:.4g} ms give {rate:.0f} frames per second; lower the rate, or "
                 f"sensor.exposure_ms to {max(left_ms, 0):.4g}"
             )
-        return cls(period_clocks, periods, gap, max(1, round(rate)), rate)
+        return cls(period_clocks, periods, gap, max(1, round(rate)), rate, overlap)
 
 
 @dataclass(frozen=True)
@@ -165,11 +173,15 @@ class Camera:
         """Set period, exposure and frame rate as an instrument states them; no run may be on."""
         self.require(instrument)
         settings = CameraSettings.of(
-            instrument, clock_hz=self.identity.clock_hz, lanes=max(1, self.lanes)
+            instrument,
+            clock_hz=self.identity.clock_hz,
+            lanes=max(1, self.lanes),
+            can_overlap=bool(self.board.fields("features")["overlap"]),
         )
         self.board.write("period", value=settings.period_clocks)
         self.board.write("exposure", value=settings.exposure_periods)
         self.board.write("gap", value=settings.gap_clocks)
+        self.board.write("readout", overlap=settings.overlap)
         self.board.write("status_interval", value=settings.status_interval)
         return settings
 

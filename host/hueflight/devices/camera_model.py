@@ -82,6 +82,7 @@ class CameraModel:
         )  # fmt: skip
         self.registers.set("serial", value=serial)
         self.registers.set("versions", protocol=1, major=1)
+        self.registers.set("features", overlap=1)
         self._readout_clocks = -(-sensor.rows * sensor.cols // LANES)
         self._buffer_bytes = buffer_bytes
         self._now_s = now_s
@@ -162,8 +163,10 @@ class CameraModel:
     def frame_s(self) -> float:
         """Time from one frame to the next, as the registers have it."""
         get = self.registers.get
-        clocks = get("period") * get("exposure") + self._readout_clocks + get("gap")
-        return clocks / CLOCK_HZ
+        exposed = get("period") * get("exposure") + get("gap")
+        if get("readout"):
+            return max(exposed, self._readout_clocks) / CLOCK_HZ
+        return (exposed + self._readout_clocks) / CLOCK_HZ
 
     def advance(self) -> None:
         """Let the time pass: put every frame that is due into the buffer, or drop it."""

@@ -50,6 +50,9 @@ def run(script, *, clocks=400, readout=READOUT, **settings):
     return {name: np.array(values) for name, values in seen.items()}
 
 
+OVERLAP = pytest.mark.parametrize("overlap", [0, 1], ids=["in turn", "overlapped"])
+
+
 def edges(level):
     """First clocks in which a level is high, and the clocks for which it stays."""
     rise = np.flatnonzero(np.diff(np.concatenate([[0], level])) == 1)
@@ -79,38 +82,77 @@ def test_frames_are_evenly_spaced_and_numbered():
     assert set(np.diff(exposures)) == {30 + 1 + READOUT + 5 + 1}
     np.testing.assert_array_equal(reads, exposures[: len(reads)] + 30)
     np.testing.assert_array_equal(seen["frame"][reads], np.arange(len(reads)))
+    assert told_right(seen)
+
+
+def told_right(seen):
+    """Whether timestamps and periods are those of the exposure that is read, for each readout."""
+    exposures, _ = edges(seen["expose"])
+    reads = np.flatnonzero(seen["read"])[:-1]
+    after = reads + 1  # the earliest that codes can come
     # the timestamp is the device clock in the exposure's first clock
-    np.testing.assert_array_equal(seen["timestamp"][reads], seen["now"][exposures[: len(reads)]])
-    assert set(seen["periods"][reads]) == {3}
+    begun = seen["now"][exposures[: len(reads)]]
+    return (seen["timestamp"][after] == begun).all() and set(seen["periods"][after]) == {3}
 
 
-def test_limit():
-    seen = run({5: {"start": 1}}, frame_limit=4)
+@pytest.mark.parametrize(
+    ("readout", "gap", "spacing"),
+    [
+        (7, 0, 30 + 3),  # the exposure takes longer
+        (30, 0, 30 + 3),
+        (32, 0, 30 + 3),  # just as long
+        (50, 0, 50 + 1),  # the readout takes longer
+        (7, 5, 30 + 2 + 5),
+        (50, 12, 50 + 1),  # a pause that the readout hides
+    ],
+)
+def test_readouts_overlap_exposures(readout, gap, spacing):
+    seen = run({5: {"start": 1}}, readout=readout, overlap=1, gap=gap)
+    exposures, lengths = edges(seen["expose"])
+    reads = np.flatnonzero(seen["read"])
+    assert len(reads) > 4
+    assert set(lengths[:-1]) == {30}
+    assert set(np.diff(reads[1:])) == {spacing}
+    # a readout begins behind its exposure, never before the one before it is over
+    assert (reads >= (exposures + 30)[: len(reads)]).all()
+    assert (reads[:-1] < exposures[1 : len(reads)]).all()
+    assert min(np.diff(reads)) > readout
+    np.testing.assert_array_equal(seen["frame"][reads], np.arange(len(reads)))
+    assert told_right(seen)
+
+
+@OVERLAP
+def test_limit(overlap):
+    seen = run({5: {"start": 1}}, frame_limit=4, overlap=overlap)
     assert seen["read"].sum() == 4
     assert seen["ended"].sum() == 1
     assert seen["frame"][-1] == 4
     assert not seen["running"][-1]
 
 
-def test_stop_ends_after_the_present_frame():
-    seen = run({5: {"start": 1}, 120: {"stop": 1}})
+@OVERLAP
+def test_stop_ends_after_the_present_frame(overlap):
+    seen = run({5: {"start": 1}, 120: {"stop": 1}}, overlap=overlap)
     assert seen["ended"].sum() == 1
     last_read = np.flatnonzero(seen["read"])[-1]
     assert last_read > 120
     assert np.flatnonzero(seen["ended"])[0] == last_read + READOUT + 1
+    assert seen["frame"][-1] == seen["read"].sum()
 
 
+@OVERLAP
 @pytest.mark.parametrize("clock", range(30, 84, 3))
-def test_abort_ends_at_once_in_every_state(clock):
-    seen = run({5: {"start": 1}, clock: {"abort": 1}}, clocks=150)
+def test_abort_ends_at_once_in_every_state(clock, overlap):
+    seen = run({5: {"start": 1}, clock: {"abort": 1}}, clocks=150, overlap=overlap)
     assert seen["ended"].sum() == 1
     assert np.flatnonzero(seen["ended"])[0] <= clock + 4
     assert not seen["expose"][clock + 4 :].any()
 
 
+@OVERLAP
 @pytest.mark.parametrize("clock", range(30, 84, 3))
-def test_start_begins_anew_in_every_state(clock):
-    seen = run({5: {"start": 1}, clock: {"start": 1}}, clocks=300)
+def test_start_begins_anew_in_every_state(clock, overlap):
+    seen = run({5: {"start": 1}, clock: {"start": 1}}, clocks=300, overlap=overlap)
     assert seen["began"].sum() == 2
     assert seen["ended"].sum() == 1
     second = np.flatnonzero(seen["began"])[1]
@@ -149,12 +191,13 @@ def test_inverted_trigger():
     np.testing.assert_array_equal(high[1:], 1 - low[1:])
 
 
+@OVERLAP
 @pytest.mark.parametrize(
     ("settings", "length"),
     [({"period": 0}, 3), ({"period": 1}, 3), ({"periods": 0}, 0), ({"periods": 1, "gap": 0}, 10)],
 )
-def test_odd_settings_do_not_hang(settings, length):
-    seen = run({5: {"start": 1}}, **settings)
+def test_odd_settings_do_not_hang(settings, length, overlap):
+    seen = run({5: {"start": 1}}, overlap=overlap, **settings)
     assert seen["read"].sum() > 5
     assert set(edges(seen["expose"])[1][:-1]) <= {length}
 
@@ -166,4 +209,4 @@ def test_step_is_the_marker_at_the_end_of_the_exposure():
     reads = np.flatnonzero(seen["read"])[:3]
     for read in reads:
         # three clocks of synchroniser, and one more in which it has to stand still
-        assert seen["step"][read] in {1000 + clock for clock in range(read - 10, read - 3)}
+        assert seen["step"][read + 1] in {1000 + clock for clock in range(read - 10, read - 3)}

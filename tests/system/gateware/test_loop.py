@@ -54,12 +54,12 @@ def test_image_is_the_same_as_without_the_gateware(compiler):
 
     reference = simulator.simulate_capture("reference", instrument, frames=2000)
     calibration = hf.calibrate(reference, instrument, distance=0.40)
-    for method in ("paper", "joint"):
+    for method, limit in (("paper", 0.15), ("joint", 0.05)):
         image = hf.reconstruct(block.histogram, calibration, method=method)
         xr.testing.assert_identical(image, hf.reconstruct(expected, calibration, method=method))
-        # the image that is the same is one of the scene, too
+        # the image that is the same is one of the scene, too, as far as 600 exposures go
         error = image.depth.values - scene.truth(instrument).depth
-        assert np.nanmedian(np.abs(error)) < 0.02
+        assert np.nanmedian(np.abs(error)) < limit
 
     # a single frame less is noticed
     less = hf.reconstruct(accumulate_codes(codes[:-1], instrument), calibration, method="paper")

@@ -15,13 +15,14 @@ from .ecp5_clocks import AIM
 SYNC_HZ = 100e6
 _VCO_HZ = 600e6
 LANES = 8
-NO_COLLISIONS = {
+FAST_ROUTES = {
+    # A bank is never read while it is written, as a proof shows (see `frame.store`): yosys need
+    # not emulate what that would give.
     "script_after_read": "setparam -set COLLISION_X_MASK 1'1 *.store/t:$memrd_v2",
+    # no resets made of choices: those are the slowest wires
+    "synth_opts": "-run begin:map_ffs",
+    "script_after_synth": "dffunmap -srst-only; synth_ecp5 -run map_ffs: -top top",
 }
-"""A bank is never read while it is written, so yosys need not emulate what that would give.
-
-A proof shows it (see `frame.store`); without this the emulation is on the slowest path.
-"""
 
 
 def camera_config(lanes: int | None = None) -> CameraConfig:

@@ -13,10 +13,13 @@ from ..source import source_hash
 from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
 from .illuminator_pins import add_from_platform
 
-CHANNELS_APART = {
+FAST_ROUTES = {
+    # keeps yosys from merging the channels' equal registers into nets that span the device
     "script_after_read": "setattr -mod -set keep_hierarchy 1 *.channel? *.channel??",
+    # and from making resets of choices: those are the slowest wires
+    "synth_opts": "-run begin:map_ffs",
+    "script_after_synth": "dffunmap -srst-only; synth_ecp5 -run map_ffs: -top top",
 }
-"""Keeps yosys from merging the channels' equal registers into nets that span the device."""
 
 
 def ecp5_config(pulse: PulseConfig | None = None) -> IlluminatorConfig:

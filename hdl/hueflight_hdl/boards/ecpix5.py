@@ -12,10 +12,11 @@ from amaranth.lib.wiring import connect
 from amaranth_boards.ecpix5 import ECPIX585Platform
 
 from ..link.usb import UsbLink
-from .ecp5_camera import NO_COLLISIONS, CameraClocks, add_camera, camera_config
+from .ecp5_camera import FAST_ROUTES as CAMERA_ROUTES
 from .ecp5_camera import SYNC_HZ as CAMERA_HZ
+from .ecp5_camera import CameraClocks, add_camera, camera_config
 from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
-from .ecp5_illuminator import CHANNELS_APART, Ecp5Illuminator
+from .ecp5_illuminator import FAST_ROUTES, Ecp5Illuminator
 from .target import Options, Target
 
 # PMODs 0 and 1 lie on the right edge of the device, with the I/O registers for four ticks a clock
@@ -55,7 +56,7 @@ def illuminator(options: Options) -> Target:
         top=lambda: Ecp5Illuminator(armed=("rgb_led", 0)),
         clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
         family="ecp5",
-        options=CHANNELS_APART,
+        options=FAST_ROUTES,
     )
 
 
@@ -116,5 +117,5 @@ def camera(options: Options) -> Target:
         top=lambda: UsbCamera(options.lanes),
         clocks_mhz={"sync": CAMERA_HZ / 1e6, "usb": USB_HZ / 1e6},
         family="ecp5",
-        options=NO_COLLISIONS,
+        options=CAMERA_ROUTES,
     )

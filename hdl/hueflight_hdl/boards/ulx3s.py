@@ -10,10 +10,11 @@ from amaranth_boards.ulx3s import ULX3S_85F_Platform
 
 from ..link.ft601 import Ft601Link
 from ..link.serial import SerialLink
-from .ecp5_camera import NO_COLLISIONS, CameraClocks, add_camera, camera_config
+from .ecp5_camera import FAST_ROUTES as CAMERA_ROUTES
 from .ecp5_camera import SYNC_HZ as CAMERA_HZ
+from .ecp5_camera import CameraClocks, add_camera, camera_config
 from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
-from .ecp5_illuminator import CHANNELS_APART, Ecp5Illuminator
+from .ecp5_illuminator import FAST_ROUTES, Ecp5Illuminator
 from .target import Options, Target
 
 # the right edge of the device has the I/O registers for four ticks a clock
@@ -77,7 +78,7 @@ def illuminator(options: Options) -> Target:
         top=lambda: Ecp5Illuminator(armed=("led", 0)),
         clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
         family="ecp5",
-        options=CHANNELS_APART,
+        options=FAST_ROUTES,
     )
 
 
@@ -128,5 +129,5 @@ def camera(options: Options) -> Target:
         top=lambda: Ft601Camera(options.lanes),
         clocks_mhz={"sync": CAMERA_HZ / 1e6, "ft": FT_HZ / 1e6},
         family="ecp5",
-        options=NO_COLLISIONS,
+        options=CAMERA_ROUTES,
     )

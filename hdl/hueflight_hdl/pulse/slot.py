@@ -132,7 +132,8 @@ class PulseSlot(wiring.Component):
         m.d.pulse += [
             *(start[i].eq(launch4 & (begin4 <= i)) for i in lanes),
             *(stop_at_once[i].eq(launch4 & short & (end[:log] <= i)) for i in lanes),
-            stop.eq(Mux(ends, rest, 0)),
+            # not a choice, of which synthesis would make a reset: those are the slowest wires
+            stop.eq(rest & ends.replicate(self.config.lanes)),
             count.eq(count - 1),
             small.eq(count[2:] == 0),
         ]

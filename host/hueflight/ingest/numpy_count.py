@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.ingest.numpy_scan import HITS_SHIFT, KIND_SHIFT, MOST_FRAMES, bitmap_bytes
-from hueflight_protocol.wire import ChunkKind, dense_bytes, padded
+from hueflight.ingest.numpy_scan import MOST_FRAMES
+from hueflight.ingest.numpy_walk import HITS_SHIFT, KIND_SHIFT, bitmap_bytes
+from hueflight_protocol.wire import ChunkKind, dense_bytes
 
 TILE = 64  # pixels that are added to the table together or not at all
 SLACK = 8  # bytes that may be read behind a payload: its packet's trailer is longer
+AT_ONCE = 1 << 16  # pixels whose bitmaps are unpacked at once: few enough for the cache
 ADD, STORE, SATURATE, SUBTRACT = range(4)
 
 _Ints = NDArray[np.intp]
@@ -67,11 +69,12 @@ def count(
     table = out.reshape(-1)[: pixels * codes].reshape(pixels, codes)
     marks = done.reshape(-1)[: -(-run // TILE) * len(entries)].reshape(len(entries), -1)
     photons = clipped = left = 0
+    space = np.empty((3, chosen.size * (min(run, pixels) // 8)), np.uint64)
     for chunk in range(begin, end):
         first = chunk * run
         size = min(run, pixels - first)
-        seen = _count_chunk(octets, entries[chunk, chosen], size, code_bits)
-        here = seen.sum(axis=1, dtype=np.intp) - seen[:, 0]
+        seen, coded = _count_chunk(octets, entries[chunk, chosen], size, code_bits, space)
+        here = coded - seen[:, 0]
         seen[:, 0] = chosen.size - here
         for tile, at in enumerate(range(0, size, TILE)):
             part = slice(at, min(at + TILE, size))
@@ -92,27 +95,30 @@ def _put(
     rows: NDArray[np.unsignedinteger[Any]], seen: NDArray[np.uint16], mode: int
 ) -> tuple[int, bool]:
     """Add to rows of the table; return clipped counts and whether a counter was too small."""
-    largest = rows.dtype.type(np.iinfo(rows.dtype).max)
     if mode == STORE:
         rows[...] = seen
     elif mode == SUBTRACT:
         rows -= seen
     elif mode == SATURATE:
-        taken = np.minimum(seen, largest - rows)
+        taken = np.minimum(seen, rows.dtype.type(np.iinfo(rows.dtype).max) - rows)
         rows += taken
         return int((seen - taken).sum(dtype=np.intp)), False
-    elif (seen > largest - rows).any():
-        return 0, True
     else:
         rows += seen
+        if (rows < seen).any():
+            rows -= seen
+            return 0, True
     return 0, False
 
 
 def _count_chunk(
-    octets: NDArray[np.uint8], entries: NDArray[np.uint64], pixels: int, code_bits: int
-) -> NDArray[np.uint16]:
-    """Counts (pixel, code) of one chunk over all frames, at most `MOST_FRAMES`."""
-    codes = 1 << code_bits
+    octets: NDArray[np.uint8],
+    entries: NDArray[np.uint64],
+    pixels: int,
+    code_bits: int,
+    space: NDArray[np.uint64],
+) -> tuple[NDArray[np.uint16], NDArray[np.intp]]:
+    """Counts (pixel, code) of one chunk over all frames, and how many codes each pixel had."""
     offset = (entries & np.uint64(0xFFFF_FFFF)).astype(np.intp)
     hits = (entries >> np.uint64(HITS_SHIFT) & np.uint64(0xFFFF)).astype(np.intp)
     kind = (entries >> np.uint64(KIND_SHIFT)).astype(np.intp)
@@ -125,57 +131,115 @@ def _count_chunk(
         or (offset + payload + SLACK > octets.size)[dense | sparse].any()
     ):
         raise ValueError("count: a chunk lies outside the data")
-    seen = np.zeros(pixels * codes, np.uint16)
+    seen = np.zeros((pixels, 1 << code_bits), np.uint16)
+    coded = np.zeros(pixels, np.intp)
     if dense.any():
-        seen += _count_dense(octets, offset[dense], pixels, code_bits)
+        _count_dense(octets, offset[dense], code_bits, seen, space)
+        coded += np.count_nonzero(dense)
     if sparse.any():
-        seen += _count_sparse(octets, offset[sparse], hits[sparse], pixels, code_bits)
-    return seen.reshape(pixels, codes)
+        _count_sparse(octets, offset[sparse], hits[sparse], code_bits, seen, coded)
+    return seen, coded
 
 
-def _gather(octets: NDArray[np.uint8], offset: _Ints, size: int) -> NDArray[np.uint8]:
-    """Bytes (frame, at least size) from each offset on; reads at most 7 bytes behind them."""
-    anywhere = np.ndarray(octets.size - 7, "<u8", octets, strides=(1,))
-    steps = np.arange(0, padded(size, 8), 8)
-    return anywhere[offset[:, None] + steps].view(np.uint8)
+def _words(octets: NDArray[np.uint8], size: int) -> NDArray[np.unsignedinteger[Any]]:
+    """The little-endian words of `size` bytes that begin at each byte."""
+    return np.ndarray(octets.size - size + 1, f"<u{size}", octets, strides=(1,))
 
 
 def _count_dense(
-    octets: NDArray[np.uint8], offset: _Ints, pixels: int, code_bits: int
-) -> NDArray[np.uint16]:
-    """Counts (pixel × code,) of dense payloads: eight codes are `code_bits` bytes."""
-    codes, groups = 1 << code_bits, -(-pixels // 8)
-    # a row more than there are frames: the last codes are read with some bytes behind them
-    rows = np.zeros((len(offset) + 1, padded(groups * code_bits, 8)), np.uint8)
-    rows[:-1] = _gather(octets, offset, groups * code_bits)
-    index = np.empty((8, len(offset), groups), np.intp)
-    base = np.arange(groups) * (8 * codes)
-    for lane in range(8):
-        byte, shift = divmod(lane * code_bits, 8)
-        word = "<u2" if shift + code_bits <= 16 else "<u4"
-        values = np.ndarray((len(offset), groups), word, rows, byte, (rows.shape[1], code_bits))
-        np.add(values >> shift & (codes - 1), base + lane * codes, out=index[lane])
-    counts = np.bincount(index.reshape(-1), minlength=groups * 8 * codes)
-    return counts[: pixels * codes].astype(np.uint16)
+    octets: NDArray[np.uint8],
+    offset: _Ints,
+    code_bits: int,
+    seen: NDArray[np.uint16],
+    space: NDArray[np.uint64],
+) -> None:
+    """Add dense payloads, of which eight codes are `code_bits` bytes.
+
+    A code that is not whole in the word at their start is whole in the word at their end.
+    """
+    pixels, codes = seen.shape
+    groups, mask = pixels // 8, np.uint64(codes - 1)
+    behind = max(code_bits - 8, 0)
+    if groups:
+        heads, tails, index = (part[: len(offset) * groups].reshape(-1, groups) for part in space)
+        _load(octets, offset, code_bits, heads)
+        _load(octets, offset + behind, code_bits, tails)
+        base = np.arange(groups, dtype=np.uint64) * np.uint64(codes)
+        lanes = seen[: 8 * groups].reshape(groups, 8, codes)
+        for lane in range(8):
+            whole = (lane + 1) * code_bits <= 64
+            shift = lane * code_bits - (0 if whole else 8 * behind)
+            np.right_shift(heads if whole else tails, np.uint64(shift), out=index)
+            np.bitwise_and(index, mask, out=index)
+            np.add(index, base, out=index)
+            counts = np.bincount(index.reshape(-1).view(np.int64), minlength=groups * codes)
+            lanes[:, lane] = counts.reshape(groups, codes)
+    for pixel in range(8 * groups, pixels):
+        byte, shift = divmod(pixel * code_bits, 8)
+        values = _words(octets, 4)[offset + byte] >> np.uint32(shift) & np.uint32(codes - 1)
+        seen[pixel] = np.bincount(values, minlength=codes)
+
+
+def _load(octets: NDArray[np.uint8], offset: _Ints, step: int, words: NDArray[np.uint64]) -> None:
+    """Fill `words` (frame, group) with those `step` bytes apart from each offset on."""
+    apart = np.diff(offset)
+    if apart.size and (apart == apart[0]).all() and apart[0] > 0:  # frames of the same length
+        strides = (int(apart[0]), step)
+        words[...] = np.ndarray(words.shape, "<u8", octets, int(offset[0]), strides)
+    else:
+        words[...] = _words(octets, 8)[offset[:, None] + np.arange(words.shape[1]) * step]
 
 
 def _count_sparse(
-    octets: NDArray[np.uint8], offset: _Ints, hits: _Ints, pixels: int, code_bits: int
-) -> NDArray[np.uint16]:
-    """Counts (pixel × code,) of bitmap payloads."""
-    codes, map_bytes = 1 << code_bits, -(-pixels // 8)
-    bits = np.unpackbits(_gather(octets, offset, map_bytes), axis=1, bitorder="little")
-    bits = np.ascontiguousarray(bits[:, :pixels])
-    ones = np.count_nonzero(bits, axis=1)
+    octets: NDArray[np.uint8],
+    offset: _Ints,
+    hits: _Ints,
+    code_bits: int,
+    seen: NDArray[np.uint16],
+    coded: _Ints,
+) -> None:
+    """Add bitmap payloads."""
+    pixels, codes = seen.shape
+    map_bytes = -(-pixels // 8)
+    together = max(1, AT_ONCE // pixels)
+    index = np.empty(int(hits.sum()), np.intp)
+    end = 0
+    for at in range(0, len(offset), together):
+        some = slice(at, at + together)
+        found = _locate(octets, offset[some], hits[some], pixels, code_bits, map_bytes)
+        index[end : end + found.size] = found
+        end += found.size
+    counts = np.bincount(index[:end], minlength=pixels * codes).reshape(pixels, codes)
+    seen += counts.astype(np.uint16)
+    coded += counts.sum(axis=1)
+
+
+def _locate(
+    octets: NDArray[np.uint8],
+    offset: _Ints,
+    hits: _Ints,
+    pixels: int,
+    code_bits: int,
+    map_bytes: int,
+) -> _Ints:
+    """Which counters (pixel × code) the hits of some frames belong to."""
+    maps = octets[offset[:, None] + np.arange(map_bytes)]
+    bits = np.unpackbits(maps, axis=1, bitorder="little", count=pixels)
+    ones = bits.sum(axis=1, dtype=np.intp)
     if (ones > hits).any():  # no more hits than the chunk's word says, whatever the bitmap says
         bits[np.cumsum(bits, axis=1, dtype=np.intp) > hits[:, None]] = 0
         ones = np.minimum(ones, hits)
-    pixel = np.flatnonzero(bits)
-    frame_start = np.repeat(np.arange(len(offset)) * pixels, ones)
+    pixel = np.flatnonzero(bits.view(np.bool_))
+    if pixels & (pixels - 1):
+        pixel -= np.repeat(np.arange(len(offset)) * pixels, ones)
+    else:
+        pixel &= pixels - 1
     first = np.cumsum(ones) - ones
     place = np.arange(pixel.size) * code_bits
     place += np.repeat(8 * (offset + map_bytes) - first * code_bits, ones)
-    anywhere = np.ndarray(octets.size - 3, "<u4", octets, strides=(1,))
-    code = anywhere[place >> 3] >> (place & 7).astype(np.uint32) & np.uint32(codes - 1)
-    index = (pixel - frame_start) * codes + code
-    return np.bincount(index, minlength=pixels * codes).astype(np.uint16)
+    words = _words(octets, 4)[place >> 3]
+    words >>= (place & 7).astype(np.uint32)
+    words &= np.uint32((1 << code_bits) - 1)
+    pixel <<= code_bits
+    pixel += words
+    return pixel

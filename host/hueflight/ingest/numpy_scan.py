@@ -8,13 +8,13 @@ compiled kernel's, bit for bit, on any input.
 from __future__ import annotations
 
 import sys
-from functools import lru_cache
 from typing import Any
 
 import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.ingest.numpy_walk import HITS_SHIFT, KIND_SHIFT, Walked, chunk_words, walk_frames
 from hueflight_protocol import wire
 from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER, PACKET_HEADER, PACKET_TRAILER
 
@@ -28,7 +28,6 @@ STATE = (
 """Names of what scanning carries on and adds up, in the order of the array `state`."""
 
 MOST_FRAMES = 65535  # what the 16-bit counters of a tile hold
-HITS_SHIFT, KIND_SHIFT = 32, 48  # an entry of the table of chunks: offset, hits, kind
 
 _PAD, _DENSE, _END = int(wire.ChunkKind.PAD), int(wire.ChunkKind.DENSE), int(wire.ChunkKind.END)
 _FLAGS = ("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost")
@@ -48,20 +47,6 @@ class _HeaderError(Exception):
 
 class _PacketError(Exception):
     """There is a header, but the packet breaks a rule."""
-
-
-def bitmap_bytes(pixels: int, hits: NDArray[np.intp], code_bits: int, /) -> NDArray[np.intp]:
-    """Payload bytes of bitmap chunks of `pixels` pixels, padding included (rule F10)."""
-    return -(-(-(-pixels // 8) - (-hits * code_bits // 8)) // 4) * 4
-
-
-@lru_cache(maxsize=256)
-def _chunk_words(pixels: int, code_bits: int) -> tuple[int, list[int]]:
-    """Hits from which on a chunk is dense, and its length in words for any number of hits."""
-    dense_from = wire.dense_from(pixels, code_bits)
-    dense = 1 + wire.dense_bytes(pixels, code_bits) // 4
-    bitmaps = 1 + bitmap_bytes(pixels, np.arange(dense_from), code_bits) // 4
-    return dense_from, bitmaps.tolist() + [dense] * (pixels + 1 - dense_from)
 
 
 class _Stream:
@@ -150,7 +135,7 @@ def _walk(stream: _Stream, at: int, head: dict[str, int]) -> tuple[int, list[int
     _check_frame(head)
     pixels, run, code_bits = head["rows"] * head["cols"], head["run"], head["code_bits"]
     count = -(-pixels // run)
-    inner, last = _chunk_words(run, code_bits), _chunk_words(pixels - (count - 1) * run, code_bits)
+    inner, last = chunk_words(run, code_bits), chunk_words(pixels - (count - 1) * run, code_bits)
     words, first = stream.words(at)
     end = first + (stream.size - at) // 4
     place, total, previous = first + FRAME_HEADER.size // 4, 0, -1
@@ -301,7 +286,18 @@ def scan(
         state[:] = list(book.values())
         return at, frames, found_others, run, stride, needed, ended
 
+    wait, pause = 0, 1  # packets until the fast way is tried again, and how many next time
     while not (frames and frames in (limit, stride)) and found_others < len(others):
+        if wait == 0 and frames:
+            walked = walk_frames(
+                stream.octets, at, rows=rows, cols=cols, code_bits=code_bits, run=run,
+                most=min(limit, stride) - frames,
+            )  # fmt: skip
+            taken = _book_walked(book, walked, at, frames, chunks, headers, places, pixels, run)
+            at, frames = at + int(walked.sizes.sum()), frames + taken
+            wait, pause = (1, 1) if taken else (pause, min(2 * pause, 64))
+            continue
+        wait = max(wait - 1, 0)
         found = stream.find(wire.MAGIC, at)
         if found > at:
             book["skipped_bytes"] += found - at
@@ -358,6 +354,39 @@ def scan(
                 frames += 1
         at += size
     return result(0, False)
+
+
+def _book_walked(
+    book: dict[str, int],
+    walked: Walked,
+    at: int,
+    frames: int,
+    chunks: NDArray[np.uint64],
+    headers: NDArray[np.uint8],
+    places: NDArray[np.uint64],
+    pixels: int,
+    run: int,
+) -> int:
+    """Book frames walked side by side and put them behind those in the tables; return how many."""
+    fields = walked.headers.reshape(-1).view(FRAME_HEADER.dtype)
+    names = ("sequence", "capture", "dropped", "flags")
+    heads = zip(*(fields[name].tolist() for name in names), strict=True)
+    kept: list[int] = []
+    for i, values in enumerate(heads):
+        head: dict[str, int] = dict(zip(names, values, strict=True))
+        book["packets"] += 1
+        if _book_sequence(book, head["sequence"]) and _book_frame(book, head, False, True):
+            kept.append(i)
+    book["in_step"] = 1 if len(fields) else book["in_step"]
+    book["hits"] += int(walked.hits[kept].sum())
+    count = -(-pixels // run)
+    table = chunks[: chunks.size // count * count].reshape(count, -1)
+    places_now = slice(frames, frames + len(kept))
+    table[:, places_now] = walked.entries[:, kept]
+    headers[places_now] = walked.headers[kept]
+    starts = at + np.cumsum(walked.sizes) - walked.sizes
+    places[places_now, 0], places[places_now, 1] = starts[kept], walked.sizes[kept]
+    return len(kept)
 
 
 def _is_aborted(stream: _Stream, end: int) -> bool:

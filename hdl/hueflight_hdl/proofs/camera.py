@@ -1,0 +1,93 @@
+"""What is proved of the camera.
+
+    python -m hueflight_hdl.proofs.camera [name ...]
+
+proves all of it, or what is named; seconds to minutes each.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from .camera_capture import AbortHarness, VerdictHarness
+from .camera_counters import CountersHarness
+from .camera_formatter import CollisionHarness, ProgressHarness, StableHarness, WalkHarness
+from .proof import Proof, ProofError, prove
+
+PROOFS = (
+    Proof(
+        "camera-stable",
+        "A word that waits for the link stays as it is.",
+        StableHarness,
+        depth=2,
+    ),
+    Proof(
+        "camera-counters",
+        "A capture's counters never decrease: 32-bit ones stay at their end, 64-bit ones count "
+        "for millennia.",
+        CountersHarness,
+        depth=2,
+    ),
+    Proof(
+        "camera-abort",
+        "An abort ends a capture within 8 clocks, and a start begins one within 8 clocks of "
+        "being allowed to, with any register contents, sensor and link.",
+        AbortHarness,
+        depth=30,
+        induction=False,
+    ),
+    Proof(
+        "camera-verdict",
+        "Every readout is passed, dropped or aborted, once.",
+        VerdictHarness,
+        depth=30,
+        induction=False,
+    ),
+    Proof(
+        "camera-packets",
+        "No packet is shorter or longer than its chunks say, aborted ones included; totals and "
+        "length are right.",
+        WalkHarness,
+        depth=48,
+        induction=False,
+    ),
+    Proof(
+        "camera-collisions",
+        "No memory of chunks is read where it is written in the same clock.",
+        CollisionHarness,
+        depth=36,
+        induction=False,
+    ),
+    Proof(
+        "camera-progress",
+        "With a link that takes every word, all that has come has left 48 clocks later, and all "
+        "buffers are free.",
+        ProgressHarness,
+        depth=64,
+        induction=False,
+    ),
+)
+"""In the order of what they cost."""
+
+
+def main(names: Sequence[str]) -> int:
+    """Prove what is named, by default everything; return the number of failures."""
+    known = {proof.name: proof for proof in PROOFS}
+    if unknown := [name for name in names if name not in known]:
+        raise ProofError(f"no proof {', '.join(unknown)}: there are {', '.join(known)}")
+    failures = 0
+    for name in names or known:
+        proof = known[name]
+        print(f"{name}: {proof.statement}", flush=True)
+        try:
+            prove(proof)
+            print(f"  proved {proof.kind}", flush=True)
+        except ProofError as error:
+            failures += 1
+            print(f"  {error}", flush=True)
+    return failures
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

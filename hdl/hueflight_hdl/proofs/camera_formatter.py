@@ -1,0 +1,210 @@
+"""The frame formatter for every input: codes, pauses, aborts, filters that change at any time."""
+
+from __future__ import annotations
+
+from amaranth.hdl import Assert, Module, Mux, Signal, Value
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In
+
+from hueflight_protocol.wire import ChunkKind, TrailerStatus, dense_bytes
+
+from ..frame.filter import FILTER_LAYOUT, MASK_WORD
+from ..frame.format import INFO_LAYOUT, FrameFormat
+from ..frame.formatter import MIN_BUFFER_WORDS, FrameFormatter
+from ..frame.header import HEADER_WORDS
+
+SMALL = FrameFormat(rows=1, cols=24, code_bits=3, lanes=8, run=16, banks=2)
+"""Two beats and one a chunk, chunks of both kinds, two banks that fill at once."""
+
+SMALLEST = FrameFormat(rows=1, cols=16, code_bits=5, lanes=8, run=8, banks=2)
+"""One beat a chunk, chunks of both kinds, of half words and of whole ones."""
+
+
+class FormatterHarness(wiring.Component):
+    """A formatter whose inputs do anything; messages are left out unless asked for.
+
+    Parameters
+    ----------
+    form : FrameFormat
+    """
+
+    def __init__(self, form: FrameFormat = SMALL) -> None:
+        self.form = form
+        self.formatter = FrameFormatter(form, buffer_words=MIN_BUFFER_WORDS)
+        super().__init__(
+            {
+                "codes": In(form.lanes * form.code_bits),
+                "offered": In(1),
+                "abort": In(1),
+                "info": In(INFO_LAYOUT),
+                "filters": In(FILTER_LAYOUT),
+                "mask": In(MASK_WORD),
+                "take": In(1),
+            }
+        )
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        m.submodules.formatter = formatter = self.formatter
+        m.d.comb += [
+            formatter.beats.valid.eq(self.offered),
+            formatter.beats.payload.eq(self.codes),
+            formatter.abort.eq(self.abort),
+            formatter.info.eq(self.info),
+            formatter.filters.eq(self.filters),
+            formatter.mask_data.eq(self.mask),
+            formatter.o.ready.eq(self.take),
+        ]
+        self.state(m)
+        return m
+
+    def state(self, m: Module) -> None:
+        """Add assertions."""
+
+
+class StableHarness(FormatterHarness):
+    """A word that waits stays as it is."""
+
+    def state(self, m: Module) -> None:
+        """Compare with the clock before."""
+        out = self.formatter.o
+        waited = Signal()
+        word = Signal.like(out.payload)
+        m.d.sync += [waited.eq(out.valid & ~out.ready), word.eq(out.payload)]
+        with m.If(waited):
+            m.d.comb += [Assert(out.valid), Assert(out.payload.as_value() == word.as_value())]
+
+
+class WalkHarness(FormatterHarness):
+    """Every packet ends just where a walk over its chunks says."""
+
+    def state(self, m: Module) -> None:
+        """Walk the packets, half a word at a time."""
+        out = self.formatter.o
+        word = out.payload.data
+        taken = Signal()
+        m.d.comb += taken.eq(out.valid & out.ready)
+        number = Signal(16)  # of the word in its packet
+        left = Signal(16)  # halves of the present chunk
+        index, chunks, hits = Signal(15), Signal(16), Signal(32)
+        trailer = Signal()  # the next word is the packet's last
+        body = Signal()
+        m.d.comb += body.eq((number >= HEADER_WORDS) & ~trailer)
+
+        walk = _Walk(self.form, left, index, chunks, hits)
+        low, ends = walk.step(m, "low", taken & body, word[:32])
+        high, _ = low.step(m, "high", taken & body & ~ends, word[32:])
+        with m.If(taken):
+            m.d.comb += Assert(out.payload.last == trailer)
+            m.d.sync += number.eq(number + 1)
+            with m.If(trailer):
+                m.d.comb += Assert(word[:32] == (number + 1) << 1)
+                m.d.sync += [number.eq(0), trailer.eq(0)]
+                m.d.sync += [left.eq(0), index.eq(0), chunks.eq(0), hits.eq(0)]
+            with m.Elif(body):
+                m.d.sync += [
+                    left.eq(high.left),
+                    index.eq(high.index),
+                    chunks.eq(high.chunks),
+                    hits.eq(high.hits),
+                ]
+                with m.If(ends):
+                    m.d.comb += [
+                        Assert(word[2:16] & ~TrailerStatus.ABORTED.value == 0),
+                        Assert(word[16:32] == chunks),
+                        Assert(word[32:] == hits),
+                    ]
+                    m.d.sync += trailer.eq(1)
+
+
+class _Walk:
+    """Where a walk stands: halves of a word left of a chunk, and totals."""
+
+    def __init__(
+        self, form: FrameFormat, left: Value, index: Value, chunks: Value, hits: Value
+    ) -> None:
+        self.form = form
+        self.left, self.index, self.chunks, self.hits = left, index, chunks, hits
+
+    def step(self, m: Module, name: str, active: Value, half: Value) -> tuple[_Walk, Value]:
+        """Go over half a word; return where that leads, and whether the end word is here."""
+        form = self.form
+        kind, index, hits = half[:2], half[2:16], half[16:]
+        inner, last = form.chunk(last=False), form.chunk(last=True)
+        in_last = index == form.chunks - 1
+        bits = (hits * form.code_bits + 7) >> 3
+        bitmap = [(bits + chunk.bitmap_bytes + 3) >> 2 for chunk in (inner, last)]
+        dense = [dense_bytes(chunk.pixels, form.code_bits) >> 2 for chunk in (inner, last)]
+        sizes = [Mux(kind == ChunkKind.DENSE, d, b) for d, b in zip(dense, bitmap, strict=True)]
+        dense_from = Mux(in_last, last.dense_from, inner.dense_from)
+        ends = Signal(name=f"{name}_ends")
+        begins = Signal(name=f"{name}_begins")
+        m.d.comb += [
+            ends.eq(active & (self.left == 0) & (kind == ChunkKind.END)),
+            begins.eq(
+                active & (self.left == 0) & ((kind == ChunkKind.BITMAP) | (kind == ChunkKind.DENSE))
+            ),
+        ]
+        with m.If(active & (self.left == 0)):
+            if name == "high":
+                m.d.comb += Assert(kind != ChunkKind.END)
+                with m.If(kind == ChunkKind.PAD):
+                    m.d.comb += Assert(half == 0)
+            else:
+                m.d.comb += Assert(kind != ChunkKind.PAD)
+        with m.If(begins):
+            m.d.comb += [
+                Assert(index >= self.index),
+                Assert(index < form.chunks),
+                Assert(hits != 0),
+                Assert(hits <= Mux(in_last, last.pixels, inner.pixels)),
+                Assert((kind == ChunkKind.DENSE) == (hits >= dense_from)),
+            ]
+        after = _Walk(
+            form,
+            Signal(16, name=f"{name}_left"),
+            Signal(15, name=f"{name}_index"),
+            Signal(16, name=f"{name}_chunks"),
+            Signal(32, name=f"{name}_hits"),
+        )
+        goes_on = Mux(self.left == 0, 0, self.left - 1)
+        m.d.comb += [
+            after.left.eq(Mux(begins, Mux(in_last, sizes[1], sizes[0]), goes_on)),
+            after.index.eq(Mux(begins, index + 1, self.index)),
+            after.chunks.eq(self.chunks + begins),
+            after.hits.eq(self.hits + Mux(begins, hits, 0)),
+        ]
+        return after, ends
+
+
+class CollisionHarness(FormatterHarness):
+    """What is fetched from a chunk's memories is not written in the same clock."""
+
+    def state(self, m: Module) -> None:
+        """Nothing but the formatter's own watch."""
+        m.d.comb += Assert(~self.formatter.clash)
+
+
+class ProgressHarness(FormatterHarness):
+    """With a link that takes everything, what has come leaves; nothing of it is left over."""
+
+    CLOCKS = 48
+    """Clocks after the last beat, more than a packet of `SMALL` takes."""
+
+    def state(self, m: Module) -> None:
+        """Count the clocks in which nothing comes and everything is taken."""
+        formatter = self.formatter
+        quiet = Signal(range(self.CLOCKS + 1))
+        comes = formatter.beats.valid & formatter.beats.ready
+        with m.If(comes | formatter.in_frame | ~self.take):
+            m.d.sync += quiet.eq(0)
+        with m.Elif(quiet != self.CLOCKS):
+            m.d.sync += quiet.eq(quiet + 1)
+        with m.If(quiet == self.CLOCKS):
+            m.d.comb += [
+                Assert(~formatter.sending),
+                Assert(~formatter.o.valid),
+                Assert(formatter.room == MIN_BUFFER_WORDS),
+                Assert(formatter.banks_free == self.form.banks),
+                Assert(~formatter.abort | ~formatter.in_frame),
+            ]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import resource
 import select
 import socket
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from _measure import FRAMES_PER_SECOND, best_of, packets_of, table, uniform_codes
 
+from hueflight.errors import RecordingError
 from hueflight.ingest import HistogramStream
 from hueflight.ingest.kernels import choose
 from hueflight.ingest.scanner import Scanner
@@ -24,6 +27,7 @@ from hueflight.recording import RecordingWriter, open_recording
 PIECE = 1 << 20
 FRAMES = 620
 SECONDS = 3.0  # of each live run
+QUEUED_PIECES = 32  # that wait for the recording's thread
 BACKLOG_FRAMES = 620  # what a camera with a few MB of memory could still hold
 
 
@@ -49,10 +53,40 @@ def socket_pair() -> tuple[socket.socket, socket.socket]:
     return ours, theirs
 
 
+class Background:
+    """Records in a thread of its own, as acquisition does, and makes the source wait for it."""
+
+    def __init__(self, writer: RecordingWriter) -> None:
+        self._writer = writer
+        self._error: RecordingError | None = None
+        self._pieces: queue.Queue[bytes | None] = queue.Queue(QUEUED_PIECES)
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while (piece := self._pieces.get()) is not None:
+            try:
+                self._writer.write(piece)
+            except RecordingError as error:
+                self._error = error
+
+    def write(self, piece: memoryview) -> None:
+        """Take a copy of a piece, when there is room."""
+        self._pieces.put(bytes(piece))
+
+    def close(self) -> None:
+        """Write what waits, finish the files, wait for the disk."""
+        self._pieces.put(None)
+        self._thread.join()
+        self._writer.close()
+        if self._error is not None:
+            raise self._error
+
+
 def receive(
     source: socket.socket,
     stream: HistogramStream,
-    writer: RecordingWriter | None,
+    writer: Background | None,
     each_second: Callable[[], None] = lambda: None,
     until: float = float("inf"),
 ) -> int:
@@ -101,12 +135,12 @@ def _live_once(
     child = in_child(produce)
     theirs.close()
     stream = HistogramStream(paper, block_frames=FRAMES)
-    writer = RecordingWriter(folder / "live.mcap", paper) if record else None
+    writer = Background(RecordingWriter(folder / "live.mcap", paper)) if record else None
     start = time.monotonic()
     size = receive(ours, stream, writer)
-    seconds = time.monotonic() - start
     if writer is not None:
         writer.close()
+    seconds = time.monotonic() - start
     os.waitpid(child, 0)
     report = stream.report
     rate = report.frames / seconds / FRAMES_PER_SECOND
@@ -191,7 +225,10 @@ def paced(seconds: float, occupancy: float, plot: Path | None, record: Path | No
     theirs.close()
     os.close(tell)
     stream = HistogramStream(paper, block_frames=FRAMES)
-    writer = RecordingWriter(record / "paced.mcap", paper, segment_seconds=10) if record else None
+    writer = None
+    if record:
+        path = record / "paced.mcap"
+        writer = Background(RecordingWriter(path, paper, segment_seconds=10))
     resident: list[float] = []
     start, used = time.monotonic(), time.process_time()
     receive(ours, stream, writer, lambda: resident.append(_resident_mb()))

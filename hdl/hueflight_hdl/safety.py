@@ -33,6 +33,7 @@ class Safety(wiring.Component):
 
     def __init__(self, clocks_per_ms: int) -> None:
         self.clocks_per_ms = clocks_per_ms
+        self.clocks = Signal(range(clocks_per_ms))  # left of the millisecond
         super().__init__(
             {
                 "key": In(32),
@@ -47,7 +48,7 @@ class Safety(wiring.Component):
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        clocks = Signal(range(self.clocks_per_ms))
+        clocks = self.clocks
         start = Signal()
         m.d.sync += self.expired.eq(0)
         m.d.comb += start.eq(self.feed & self.armed)

@@ -42,7 +42,9 @@ SNAPSHOT_CLOCKS = 32
 """Clocks from `begin` until registers are looked at; for what crosses clock domains."""
 
 
-class _State(enum.Enum):
+class State(enum.Enum):
+    """What the engine is doing."""
+
     IDLE = 0
     CHECKSUM = 1
     FRAME = 2
@@ -94,26 +96,31 @@ class ControlEngine(wiring.Component):
                 "word": In(WORD_BITS),
             }
         )
+        # what proofs look at
+        self.buffer = RequestBuffer()
+        self.state = Signal(State)
+        self.result = Signal(8)
+        self.words = Signal(range(MAX_WORDS + 1))  # of the request
+        self.left = Signal.like(self.words)
+        self.dwell = Signal(2)  # clocks since index or address moved
+        self.waited = Signal(range(SNAPSHOT_CLOCKS))
+        self.outgoing_left = Signal(range(HEADER_BYTES + 1))
+        self.tail = Signal()  # the CRC is being sent
+        self.writing = Signal()
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        m.submodules.buffer = buffer = RequestBuffer()
+        m.submodules.buffer = buffer = self.buffer
         m.submodules.crc = crc = CRC32_ISCSI(data_width=8).create()
         wiring.connect(m, wiring.flipped(self.requests), buffer.stream)
 
-        state = Signal(_State)
-        header = Signal(HEADER)
-        result = Signal(8)
-        words = Signal(range(MAX_WORDS + 1))  # of the request
-        left = Signal.like(words)
+        state, result, words, left = self.state, self.result, self.words, self.left
+        dwell, waited = self.dwell, self.waited
+        outgoing_left, tail = self.outgoing_left, self.tail
+        writing, header = self.writing, Signal(HEADER)
         first = Signal(ADDRESS_BITS)
-        writing = Signal()
-        dwell = Signal(2)  # clocks since index or address moved
-        waited = Signal(range(SNAPSHOT_CLOCKS))
         word = Signal(WORD_BITS)
         outgoing = Signal(8 * HEADER_BYTES)  # bytes to send, the next one lowest
-        outgoing_left = Signal(range(HEADER_BYTES + 1))
-        tail = Signal()  # the CRC is being sent
         wrong_length = Signal()
         m.d.comb += writing.eq(header.op == Op.WRITE)
         m.d.sync += wrong_length.eq(
@@ -133,24 +140,24 @@ class ControlEngine(wiring.Component):
             m.d.sync += waited.eq(waited + 1)
 
         with m.Switch(state):
-            with m.Case(_State.IDLE):
+            with m.Case(State.IDLE):
                 m.d.comb += crc.start.eq(1)
                 m.d.sync += [buffer.index.eq(0), dwell.eq(0), waited.eq(0)]
                 with m.If(buffer.full):
-                    m.d.sync += [self.begin.eq(1), state.eq(_State.CHECKSUM)]
+                    m.d.sync += [self.begin.eq(1), state.eq(State.CHECKSUM)]
 
-            with m.Case(_State.CHECKSUM):
+            with m.Case(State.CHECKSUM):
                 with m.If(dwell == RequestBuffer.latency):
                     m.d.comb += [crc.valid.eq(1), crc.data.eq(buffer.byte)]
                     m.d.sync += [buffer.index.eq(buffer.index + 1), dwell.eq(0)]
                     with m.If(buffer.index < HEADER_BYTES):
                         m.d.sync += header.eq(Cat(header.as_value()[8:], buffer.byte))
                 with m.If(buffer.index == buffer.length):
-                    m.d.sync += state.eq(_State.FRAME)
+                    m.d.sync += state.eq(State.FRAME)
 
-            with m.Case(_State.FRAME):
+            with m.Case(State.FRAME):
                 with m.If(waited == SNAPSHOT_CLOCKS - 1):
-                    m.d.sync += [self.latched.eq(1), state.eq(_State.IDLE)]
+                    m.d.sync += [self.latched.eq(1), state.eq(State.IDLE)]
                     with m.If(wrong_length):
                         m.d.comb += buffer.done.eq(1)
                         m.d.sync += self.framing_error.eq(1)
@@ -161,22 +168,22 @@ class ControlEngine(wiring.Component):
                         m.d.comb += buffer.done.eq(1)
                         m.d.sync += self.framing_error.eq(1)
                     with m.Else():
-                        m.d.sync += state.eq(_State.JUDGE)
+                        m.d.sync += state.eq(State.JUDGE)
 
-            with m.Case(_State.JUDGE):
+            with m.Case(State.JUDGE):
                 m.d.sync += [
                     result.eq(self._judge(m, header, buffer.length, words)),
                     first.eq(header.address),
                     self.address.eq(header.address),
                     dwell.eq(0),
-                    state.eq(_State.LOOK_UP),
+                    state.eq(State.LOOK_UP),
                 ]
                 for op, address in ((Op.IDENTIFY, IDENTITY_ADDRESS), (Op.STATUS, STATUS_ADDRESS)):
                     with m.If(header.op == op):
                         m.d.sync += [first.eq(address), self.address.eq(address)]
                 m.d.sync += left.eq(0)
 
-            with m.Case(_State.LOOK_UP):
+            with m.Case(State.LOOK_UP):
                 # `left` counts up here: every address is looked at before anything is done
                 with m.If((left == words) | (result < Result.BAD_ADDRESS) & (result != Result.OK)):
                     m.d.sync += [
@@ -184,10 +191,10 @@ class ControlEngine(wiring.Component):
                         buffer.index.eq(HEADER_BYTES),
                         dwell.eq(0),
                         left.eq(words),
-                        state.eq(_State.HEAD),
+                        state.eq(State.HEAD),
                     ]
                     with m.If((result == Result.OK) & writing):
-                        m.d.sync += state.eq(_State.GATHER)
+                        m.d.sync += state.eq(State.GATHER)
                 with m.Elif(dwell == RegisterFile.latency):
                     m.d.sync += [
                         self.address.eq(self.address + 1),
@@ -196,7 +203,7 @@ class ControlEngine(wiring.Component):
                     ]
                     self._examine(m, result, writing)
 
-            with m.Case(_State.GATHER):
+            with m.Case(State.GATHER):
                 with m.If(dwell == RequestBuffer.latency):
                     m.d.sync += [
                         word.eq(Cat(word[8:], buffer.byte)),
@@ -204,18 +211,18 @@ class ControlEngine(wiring.Component):
                         dwell.eq(0),
                     ]
                     with m.If(buffer.index[:2] == 3):
-                        m.d.sync += state.eq(_State.STORE)
+                        m.d.sync += state.eq(State.STORE)
 
-            with m.Case(_State.STORE):
+            with m.Case(State.STORE):
                 m.d.comb += self.write.eq(1)
                 m.d.sync += [
                     self.address.eq(self.address + 1),
                     dwell.eq(0),
                     left.eq(left - 1),
-                    state.eq(Mux(left == 1, _State.HEAD, _State.GATHER)),
+                    state.eq(Mux(left == 1, State.HEAD, State.GATHER)),
                 ]
 
-            with m.Case(_State.HEAD):
+            with m.Case(State.HEAD):
                 answer = Signal(HEADER)
                 reads = Signal()
                 m.d.comb += [
@@ -233,10 +240,10 @@ class ControlEngine(wiring.Component):
                     outgoing_left.eq(HEADER_BYTES),
                     tail.eq(0),
                     left.eq(Mux(reads, words, 0)),
-                    state.eq(_State.SEND),
+                    state.eq(State.SEND),
                 ]
 
-            with m.Case(_State.SEND):
+            with m.Case(State.SEND):
                 m.d.comb += [
                     self.responses.valid.eq(1),
                     self.responses.payload.data.eq(outgoing[:8]),
@@ -247,18 +254,18 @@ class ControlEngine(wiring.Component):
                     m.d.comb += crc.valid.eq(~tail)
                     m.d.sync += [outgoing.eq(outgoing[8:]), outgoing_left.eq(outgoing_left - 1)]
                     with m.If(outgoing_left == 1):
-                        m.d.sync += [dwell.eq(0), state.eq(_State.NEXT)]
+                        m.d.sync += [dwell.eq(0), state.eq(State.NEXT)]
 
-            with m.Case(_State.NEXT):
+            with m.Case(State.NEXT):
                 with m.If(tail):
                     m.d.comb += buffer.done.eq(1)
-                    m.d.sync += [self.answered.eq(1), state.eq(_State.IDLE)]
+                    m.d.sync += [self.answered.eq(1), state.eq(State.IDLE)]
                 with m.Elif(left == 0):
                     m.d.sync += [
                         outgoing.eq(crc.crc),
                         outgoing_left.eq(CONTROL_CRC_BYTES),
                         tail.eq(1),
-                        state.eq(_State.SEND),
+                        state.eq(State.SEND),
                     ]
                 with m.Elif(dwell == RegisterFile.latency):
                     m.d.comb += self.reading.eq(1)
@@ -267,7 +274,7 @@ class ControlEngine(wiring.Component):
                         outgoing_left.eq(WORD_BITS // 8),
                         self.address.eq(self.address + 1),
                         left.eq(left - 1),
-                        state.eq(_State.SEND),
+                        state.eq(State.SEND),
                     ]
         m.d.comb += self.write_word.eq(word)
         return m

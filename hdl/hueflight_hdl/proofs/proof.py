@@ -26,6 +26,8 @@ smtbmc yices
 [script]
 read_rtlil design.il
 prep -top top
+# an induction begins with any contents of a memory, even of one that is never written
+memory_map -rom-only
 
 [files]
 design.il

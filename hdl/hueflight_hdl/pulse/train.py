@@ -42,6 +42,7 @@ class Train(wiring.Component):
 
     def __init__(self, config: PulseConfig) -> None:
         self.config = config
+        self.left = Signal(PERIOD_BITS - config.lane_bits)  # clocks until the train's last two
         super().__init__(
             {
                 "edge": In(1),
@@ -85,7 +86,7 @@ class Train(wiring.Component):
         # how long it is busy; `periods` is at rest, and so are the lengths in clocks. The count
         # begins one clock after the edge, so that little hangs on `accept`.
         lengths = [self._clocks_less_one(m, self.periods[bank]) for bank in range(2)]
-        count = Signal.like(lengths[0])
+        count = self.left
         small = Signal()
         spacing = Signal(range(MIN_SPACING))
         m.d.pulse += [count.eq(count - 1), small.eq(count[2:] == 0)]

@@ -1,0 +1,81 @@
+"""LEDs are dark unless the board is armed, and it is armed only while a host says so."""
+
+from __future__ import annotations
+
+from amaranth.hdl import Assert, DomainRenamer, Module, Mux, Signal
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In
+
+from hueflight_protocol.illuminator_map import ARM_KEY
+
+from ..pulse.config import PulseConfig
+from ..pulse.generator import PulseGenerator
+from ..safety import Safety
+
+CLOCKS_PER_MS = 3
+
+
+class DarkHarness(wiring.Component):
+    """A pulse generator whose settings, triggers, program and arming do anything."""
+
+    def __init__(self) -> None:
+        self.generator = PulseGenerator(PulseConfig(channels=2, pulses=1, steps=2))
+        super().__init__(
+            {
+                name: In(member.shape)
+                for name, member in self.generator.signature.members.items()
+                if member.flow is In
+            }
+        )
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        generator = self.generator
+        m.submodules.generator = DomainRenamer({"pulse": "sync"})(generator)
+        for name in self.signature.members:
+            m.d.comb += getattr(generator, name).eq(getattr(self, name))
+        armed = self.armed
+        for clock in range(PulseGenerator.armed_latency):
+            before = Signal(name=f"armed_before{clock}")
+            m.d.sync += before.eq(armed)
+            armed = before
+        with m.If(~armed):
+            m.d.comb += Assert(generator.levels.as_value() == 0)
+        m.d.comb += Assert(generator.lit == armed)
+        return m
+
+
+class WatchdogHarness(wiring.Component):
+    """Arming with any writes, feeds and times."""
+
+    def __init__(self) -> None:
+        super().__init__({"key": In(32), "key_written": In(1), "timeout_ms": In(16), "feed": In(1)})
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        m.submodules.safety = safety = Safety(CLOCKS_PER_MS)
+        for name in self.signature.members:
+            m.d.comb += getattr(safety, name).eq(getattr(self, name))
+        keyed = Signal()  # the last word written was the key
+        allowed = Signal(16)  # milliseconds, as they were at the last key or feed
+        elapsed = Signal(20)  # clocks since
+        told = Signal()
+        m.d.comb += told.eq(self.key_written | (self.feed & safety.armed))
+        m.d.sync += elapsed.eq(Mux(told, 0, elapsed + 1))
+        with m.If(told):
+            m.d.sync += allowed.eq(self.timeout_ms)
+        with m.If(self.key_written):
+            m.d.sync += keyed.eq(self.key == ARM_KEY)
+        with m.If(safety.armed):
+            m.d.comb += [
+                Assert(keyed),
+                Assert(elapsed < allowed * CLOCKS_PER_MS),
+                # what the induction needs: the time left is what is not over
+                Assert(safety.left_ms != 0),
+                Assert(safety.clocks < CLOCKS_PER_MS),
+                Assert(
+                    elapsed + (safety.left_ms - 1) * CLOCKS_PER_MS + safety.clocks + 1
+                    == allowed * CLOCKS_PER_MS
+                ),
+            ]
+        return m

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from hueflight.analysis.color_difference import delta_e_2000, lab
 from hueflight.analysis.comparison import spectral_angle
+from hueflight.color import SpectralModel, tristimulus
+from hueflight.color.recovery import NODES_NM
 from hueflight.errors import FileFormatError, HueflightError
 from hueflight.instrument import Instrument
-from hueflight.simulator.colorchecker import PATCHES, patch_reflectances, tristimulus_weights
+from hueflight.simulator.colorchecker import PATCHES, patch_reflectances
 from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights
 
-COLOR_NM = np.arange(380.0, 731.0, 10.0)  #: where `tristimulus_weights` samples
-SMOOTHNESS = 0.95  #: correlation of a natural reflectance with itself 10 nm further
 NOISE = 0.01  #: deviation of band values for which the colour estimate is balanced
 
 
@@ -152,7 +152,7 @@ def match(spectra: xr.DataArray, library: SpectralLibrary, instrument: Instrumen
     angle = spectral_angle(spectra, entries)
     visible = any(400 <= band.wavelength_nm <= 700 for band in instrument.bands)
     to_xyz = bands_to_xyz(instrument) if visible else np.full((3, len(instrument.bands)), np.nan)
-    white = tristimulus_weights().sum(axis=1)
+    white = tristimulus(NODES_NM, illuminant="C").sum(axis=1)
 
     def colour(values: xr.DataArray) -> NDArray[np.float64]:
         ordered = values.transpose(..., "band").values
@@ -177,22 +177,5 @@ def bands_to_xyz(instrument: Instrument, *, noise: float = NOISE) -> NDArray[np.
     The spectrum is taken as smooth, of unknown level; with more `noise` (standard deviation
     of a band) the map relies more on that.
     """
-    shares = _at_color_nodes(band_weights(instrument))
-    apart = np.abs(COLOR_NM[:, None] - COLOR_NM) / 10
-    # the large constant leaves the level open, so that neutral surfaces come out neutral
-    prior = 0.05 * SMOOTHNESS**apart + 1e3
-    measured = shares @ prior @ shares.T + noise**2 * np.eye(len(shares))
-    spectrum = np.linalg.solve(measured, shares @ prior).T  # (wavelength, band)
-    return tristimulus_weights() @ spectrum
-
-
-def _at_color_nodes(weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (band, wavelength) gathered onto the colour nodes; light beyond goes to the ends."""
-    place = np.clip((WAVELENGTH_NM - COLOR_NM[0]) / 10, 0, COLOR_NM.size - 1)
-    lower = np.minimum(place.astype(np.intp), COLOR_NM.size - 2)
-    share = place - lower
-    gathered = np.zeros((weights.shape[0], COLOR_NM.size))
-    for band, row in enumerate(weights):
-        np.add.at(gathered[band], lower, row * (1 - share))
-        np.add.at(gathered[band], lower + 1, row * share)
-    return gathered
+    model = SpectralModel.of(instrument)
+    return model.linear(model.to_xyz(illuminant="C"), noise=noise)

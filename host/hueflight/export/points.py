@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hueflight.display import three_band_rgb
+from hueflight.color import color_picture
 from hueflight.errors import ExportError
 from hueflight.export.description import band_labels
 from hueflight.images import SERIES_DIM, instrument_of, require_image
@@ -80,5 +80,5 @@ def image_points(image: xr.Dataset, /, *, instrument: Instrument | None = None) 
         elif name != "depth":  # which is z
             fields[str(name)] = variable.transpose("row", "col").values[known]
             units[str(name)] = unit
-    rgb = np.rint(three_band_rgb(image)[known] * 255).astype(np.uint8)
+    rgb = np.rint(color_picture(image, instrument=source)[known] * 255).astype(np.uint8)
     return Points(xyz=xyz, rgb=rgb, fields=fields, units=units)

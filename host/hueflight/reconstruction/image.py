@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,7 @@ UNITS = {
     "reflectance_std": "1",
     "background": "count / code",
     "photons": "count",
+    "resolution": "pixel",
 }
 LONG_NAMES = {
     "depth": "distance from the camera along the optical axis",
@@ -29,6 +31,7 @@ LONG_NAMES = {
     "reflectance_std": "standard deviation of reflectance",
     "background": "counts per code that the pulses do not explain",
     "photons": "photons in the pixel's histogram",
+    "resolution": "width of the square of as many pixels as the estimate rests on",
 }
 
 
@@ -44,6 +47,10 @@ class Estimates:
     quality : (row, col) bits of `Quality`.
     other_depth : (row, col), m: second depth of ambiguous pixels, else NaN; None from a method
         that looks for one depth only.
+    resolution : (row, col) width, in pixels, of the square of as many pixels as the estimate
+        rests on; None from a method that keeps to each pixel's own photons.
+    white_photons : (row, col) photons that reflectance 1 in all bands would have given; None
+        from a method whose amplitudes are not in photons.
     """
 
     depth: NDArray[np.float64]
@@ -54,6 +61,8 @@ class Estimates:
     photons: NDArray[np.float64]
     quality: NDArray[np.uint16]
     other_depth: NDArray[np.float64] | None = None
+    resolution: NDArray[np.float64] | None = None
+    white_photons: NDArray[np.float64] | None = None
 
 
 def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> xr.Dataset:
@@ -78,7 +87,7 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
         },
     )
     instrument = calibration.instrument
-    coordinates = {
+    coordinates: dict[str, Any] = {
         "wavelength": (
             "band",
             instrument.wavelengths_nm,
@@ -86,6 +95,18 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
         ),
         "band_name": ("band", [band.name for band in instrument.bands]),
     }
+    if estimates.white_photons is not None:
+        share = calibration.brightness / calibration.brightness.sum()
+        coordinates["white_photons"] = (
+            plane,
+            estimates.white_photons.astype(np.float32),
+            {"units": "count", "long_name": "photons of reflectance 1 in all bands"},
+        )
+        coordinates["white_share"] = (
+            "band",
+            share,
+            {"units": "1", "long_name": "share of a band in white_photons"},
+        )
     return xr.Dataset(
         variables,
         coords=coordinates,

@@ -175,6 +175,7 @@ def in_metres(
         background=plane(found.background) * calibration.bin_width_ns / calibration.bins.span_ns,
         photons=photons,
         quality=quality,
+        white_photons=calibration.brightness.sum() / scale,
     )
 
 

@@ -8,9 +8,11 @@ import xarray as xr
 
 import hueflight as hf
 from hueflight.analysis import SpectralLibrary, delta_e_2000, lab, match
-from hueflight.analysis.library import COLOR_NM, bands_to_xyz
+from hueflight.analysis.library import bands_to_xyz
+from hueflight.color import tristimulus
+from hueflight.color.recovery import NODES_NM
 from hueflight.errors import FileFormatError, HueflightError
-from hueflight.simulator.colorchecker import PATCHES, tristimulus_weights
+from hueflight.simulator.colorchecker import PATCHES
 
 # Sharma, Wu and Dalal, Color Res. Appl. 30, 21 (2005), table 1: L a b, L a b, ΔE00
 SHARMA = np.fromstring(
@@ -69,8 +71,9 @@ def test_lab_of_known_colours() -> None:
 def test_colours_from_nine_bands_are_near_the_true_ones(
     paper: hf.Instrument, chart: SpectralLibrary
 ) -> None:
-    white = tristimulus_weights().sum(axis=1)
-    true = lab(chart.at(COLOR_NM) @ tristimulus_weights().T, white=white)
+    to_xyz = tristimulus(NODES_NM, illuminant="C")
+    white = to_xyz.sum(axis=1)
+    true = lab(chart.at(NODES_NM) @ to_xyz.T, white=white)
     seen = lab(chart.in_bands(paper).values @ bands_to_xyz(paper).T, white=white)
     error = delta_e_2000(true, seen)
     # a map trained on Munsell spectra reaches 0.58 on average and 1.4 at most

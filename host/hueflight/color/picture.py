@@ -1,0 +1,88 @@
+"""Images in colour: every visible band behind each sRGB value."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.calibration.emitters import Emission
+from hueflight.color.observer import encoded, linear_of
+from hueflight.color.recovery import SpectralModel
+from hueflight.display import fill_missing, three_band_rgb
+from hueflight.errors import HueflightError
+from hueflight.images import instrument_of
+from hueflight.instrument import Instrument
+
+VISIBLE_NM = (400.0, 700.0)
+LEAST_BANDS = 3  #: fewer visible bands can't tell colours apart
+
+
+def in_color(
+    image: xr.Dataset,
+    /,
+    *,
+    instrument: Instrument | None = None,
+    emission: Emission | None = None,
+) -> xr.DataArray:
+    """XYZ (row, col, xyz) of an image under D65, reflectance 1 at Y = 1; NaN where unknown.
+
+    Parameters
+    ----------
+    image : as `reconstruct` gives; one image or a series.
+    instrument : whose bands they are; by default as the image describes.
+    emission : measured spectra of its LEDs; by default of the widths that it states.
+    """
+    source = instrument_of(image, instrument)
+    model = SpectralModel.of(source, emission)
+    reflectance = image["reflectance"].transpose(..., "band")
+    deviation = image["reflectance_std"].transpose(..., "band")
+    per_photon = None
+    if "white_photons" in image.coords:
+        white = image["white_photons"].transpose(*reflectance.dims[:-1]).values
+        with np.errstate(divide="ignore", invalid="ignore"):
+            photons = white[..., None] * image["white_share"].values
+            per_photon = np.nan_to_num(1 / photons, posinf=0.0)
+    xyz, _ = model.recover(
+        reflectance.values, deviation.values, model.to_xyz(), per_photon=per_photon
+    )
+    return xr.DataArray(
+        xyz.astype(np.float32), dims=(*reflectance.dims[:-1], "xyz"), coords={"xyz": list("XYZ")}
+    )
+
+
+def color_picture(
+    image: xr.Dataset,
+    /,
+    *,
+    instrument: Instrument | None = None,
+    emission: Emission | None = None,
+    white: float | None = None,
+) -> NDArray[np.float64]:
+    """Display values sRGB (row, col, 3) in 0..1 from all bands; small holes are filled.
+
+    An instrument with fewer than three visible bands has no colours: its picture is the one
+    of three bands, `display.three_band_rgb`, in false colours.
+
+    Parameters
+    ----------
+    image, instrument, emission : see `in_color`.
+    white : reflectance shown as white; by default so that 98 % of the pixels fit the screen.
+
+    Raises
+    ------
+    HueflightError
+        If no pixel has a colour, or `white` is not above 0.
+    """
+    source = instrument_of(image, instrument)
+    low, high = VISIBLE_NM
+    if sum(low <= band.wavelength_nm <= high for band in source.bands) < LEAST_BANDS:
+        return three_band_rgb(image)
+    if white is not None and not (np.isfinite(white) and white > 0):
+        raise HueflightError(f"white = {white!r}: give the reflectance to show as white, above 0")
+    linear = linear_of(in_color(image, instrument=source, emission=emission).values)
+    if not np.isfinite(linear).any():
+        raise HueflightError("no pixel of the image has a reflectance: nothing to show")
+    filled = np.stack([fill_missing(plane) for plane in np.moveaxis(linear, -1, 0)], axis=-1)
+    top = white or max(float(np.nanpercentile(filled.max(axis=-1), 98)), 1e-12)
+    return encoded(np.nan_to_num(filled / top))

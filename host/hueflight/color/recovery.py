@@ -1,0 +1,154 @@
+"""The spectrum behind the bands: a Wiener estimate that trusts each band as far as its photons go.
+
+A band sees the mean of a reflectance under its LED's spectrum: some tens of nanometres wide,
+overlapping the neighbours'. With a prior of smooth spectra and the bands' own noise the linear
+estimate of least error is x ↦ m + P Sᵀ(S P Sᵀ + N)⁻¹(x − S m) (Pratt and Mancill, Appl. Opt. 15,
+73, 1976). The prior here is relative to a surface's own brightness, so that dark surfaces are not
+taken for noise and the light level doesn't matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hueflight.calibration.emitters import Emission
+from hueflight.color.observer import Illuminant, tristimulus
+from hueflight.errors import HueflightError
+from hueflight.instrument import Instrument
+
+NODES_NM = np.arange(300.0, 1101.0, 5.0)  #: where a spectrum is sampled
+#: Prior of a reflectance relative to its mean over the bands: a Matérn-3/2 process (continuous,
+#: with kinks as at absorption edges) of this length and variance about a level of this variance.
+#: Any length from 60 to 120 nm serves surfaces equally well.
+LENGTH_NM = 80.0
+VARIANCE = 0.4
+LEVEL_VARIANCE = 1.0
+LEAST_NOISE = 0.002  #: deviation that is always allowed for, relative to the mean over the bands
+UNKNOWN = 1e6  #: variance of a band that says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class SpectralModel:
+    """What an instrument's bands see of a spectrum, and what spectra are like.
+
+    Attributes
+    ----------
+    shares : (band, node) share of each band's detected photons at `NODES_NM`.
+    brightness : (band,) photons of a white surface, adding up to 1.
+    wavelengths_nm : (band,) nominal.
+    """
+
+    shares: NDArray[np.float64]
+    brightness: NDArray[np.float64]
+    wavelengths_nm: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, instrument: Instrument, emission: Emission | None = None, /) -> SpectralModel:
+        """From measured emission spectra, or from the widths that the instrument states."""
+        emission = Emission.nominal(instrument) if emission is None else emission
+        brightness = instrument.band_brightness()
+        return cls(
+            shares=emission.shares(instrument, NODES_NM),
+            brightness=brightness / brightness.sum(),
+            wavelengths_nm=instrument.wavelengths_nm,
+        )
+
+    @property
+    def prior(self) -> NDArray[np.float64]:
+        """Covariance (node, node) of relative spectra."""
+        apart = np.sqrt(3) * np.abs(NODES_NM[:, None] - NODES_NM) / LENGTH_NM
+        return VARIANCE * (1 + apart) * np.exp(-apart) + LEVEL_VARIANCE
+
+    def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Query (wavelength, node) for `recover`: the reflectance at single wavelengths."""
+        wanted = np.atleast_1d(np.asarray(wavelength_nm, np.float64))
+        if not ((wanted >= NODES_NM[0]) & (wanted <= NODES_NM[-1])).all():
+            raise HueflightError(
+                f"wavelengths {wanted.tolist()} nm: spectra reach from {NODES_NM[0]:g} to "
+                f"{NODES_NM[-1]:g} nm"
+            )
+        return np.array([np.interp(wanted, NODES_NM, unit) for unit in np.eye(NODES_NM.size)]).T
+
+    def linear(
+        self, query: NDArray[np.floating], *, noise: float = LEAST_NOISE
+    ) -> NDArray[np.float64]:
+        """One map (query, band) for all pixels: the estimate for bands of one known noise."""
+        prior = self.prior * 0.1  # the mean square reflectance of coloured surfaces
+        seen = self.shares @ prior
+        normal = seen @ self.shares.T + noise**2 * np.eye(len(self.shares))
+        solved = np.linalg.solve(normal, seen @ np.asarray(query, np.float64).T)
+        return np.asarray(solved.T, np.float64)
+
+    def recover(
+        self,
+        reflectance: ArrayLike,
+        deviation: ArrayLike,
+        query: NDArray[np.floating],
+        /,
+        *,
+        per_photon: ArrayLike | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Any linear quantities of the spectrum behind measured bands, and their deviations.
+
+        Parameters
+        ----------
+        reflectance : (…, band) as `reconstruct` gives; NaN where a band is not known.
+        deviation : (…, band) its standard deviation.
+        query : (query, node) weights on the spectrum at `NODES_NM`: `at`, `tristimulus`.
+        per_photon : (…, band) reflectance that one photon stands for. With it the variances are
+            those of the expected photons and not of the counted ones, which matters where a
+            band holds few.
+
+        Returns
+        -------
+        Values and standard deviations (…, query); NaN where no band is known.
+        """
+        measured = np.asarray(reflectance, np.float64)
+        variance = np.asarray(deviation, np.float64) ** 2
+        if measured.shape != variance.shape or measured.shape[-1:] != self.brightness.shape:
+            raise HueflightError(
+                f"reflectance {measured.shape} and deviation {variance.shape} must both be "
+                f"(…, {self.brightness.size}): one value for each band"
+            )
+        known = np.isfinite(measured) & np.isfinite(variance)
+        x = np.where(known, measured, 0.0)
+        weight = np.where(known, self.brightness, 0.0)
+        weight = weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-300)
+        level = (weight * x).sum(axis=-1, keepdims=True)
+        own = (weight**2 * np.where(known, variance, 0)).sum(axis=-1, keepdims=True)
+        level = np.maximum(np.maximum(level, np.sqrt(own)), 1e-12)
+
+        x, noise = x / level, np.where(known, variance / level**2 + LEAST_NOISE**2, UNKNOWN)
+        seen = self.shares @ self.prior
+        smooth = seen @ self.shares.T
+        white = self.shares.sum(axis=1)  # what the mean, a level of 1, gives: ones
+        answer = self._solved(smooth, noise, x - white)
+        if per_photon is not None:
+            photon = np.broadcast_to(np.asarray(per_photon, np.float64), x.shape) / level
+            expected = white + answer @ smooth
+            moved = noise + photon * (np.maximum(expected, 0) - np.maximum(x, 0))
+            noise = np.where(known, np.maximum(moved, photon**2 / 2), UNKNOWN)
+            answer = self._solved(smooth, noise, x - white)
+        weights = np.asarray(query, np.float64)
+        gain = seen @ weights.T  # (band, query)
+        values = weights.sum(axis=1) + answer @ gain
+        spread = np.einsum("qn,nm,qm->q", weights, self.prior, weights)
+        matrices = smooth + noise[..., None] * np.eye(len(smooth))
+        explained = np.einsum("bq,...bq->...q", gain, np.linalg.solve(matrices, gain))
+        std = np.sqrt(np.maximum(spread - explained, 0))
+        nothing = ~known.any(axis=-1, keepdims=True)
+        return np.where(nothing, np.nan, values * level), np.where(nothing, np.nan, std * level)
+
+    @staticmethod
+    def _solved(
+        smooth: NDArray[np.float64], noise: NDArray[np.float64], right: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        matrices = smooth + noise[..., None] * np.eye(len(smooth))
+        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], np.float64)
+
+    def to_xyz(self, *, illuminant: Illuminant = "D65") -> NDArray[np.float64]:
+        """Query (3, node) for `recover`: CIE 1931 XYZ, white at Y = 1."""
+        return tristimulus(NODES_NM, illuminant=illuminant)

@@ -26,3 +26,9 @@ def simulator() -> None:
 def prover() -> None:
     """Designs can be proved."""
     need_tools("yosys", "sby", "smtbmc", "yices")
+
+
+@pytest.fixture(scope="session")
+def builder() -> None:
+    """Bitstreams can be built."""
+    need_tools("yosys", "nextpnr-ice40", "icepack", "nextpnr-ecp5", "ecppack")

@@ -11,6 +11,7 @@ from ..frame.format import FrameFormat
 from ..sensor.scene import default_scene
 from ..source import source_hash
 from .ecp5_clocks import AIM
+from .pins import drive_pin, read_pin
 
 SYNC_HZ = 100e6
 _VCO_HZ = 600e6
@@ -41,10 +42,14 @@ class CameraClocks(Elaboratable):
         self.clock = clock
         self.clock_hz = clock_hz
 
-    def elaborate(self, platform: Platform) -> Module:
-        m = Module()
+    def add_to(self, m: Module, platform: Platform) -> None:
+        """Add the domains to a module, and with them what makes them."""
         m.domains.sync = sync = ClockDomain()
         platform.add_clock_constraint(sync.clk, SYNC_HZ * AIM)
+        m.submodules.clocks = self
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
         ready = Signal()
         if self.clock_hz == SYNC_HZ:
             m.d.comb += [ClockSignal().eq(self.clock), ready.eq(1)]
@@ -91,10 +96,10 @@ class CameraClocks(Elaboratable):
 def add_camera(m: Module, config: CameraConfig, platform: Platform) -> Camera:
     """Add a camera on the pins that every board names alike; its link is left to connect."""
     m.submodules.camera = camera = Camera(config)
+    drive_pin(m, platform, "trigger", camera.trigger)
+    drive_pin(m, platform, "frame_sync", camera.frame_sync)
     m.d.comb += [
-        platform.request("trigger", 0).o.eq(camera.trigger),
-        platform.request("frame_sync", 0).o.eq(camera.frame_sync),
-        camera.marker.eq(platform.request("marker", 0).i),
-        camera.missed.eq(platform.request("missed", 0).i),
+        camera.marker.eq(read_pin(m, platform, "marker")),
+        camera.missed.eq(read_pin(m, platform, "missed")),
     ]
     return camera

@@ -43,13 +43,17 @@ class Ecp5Clocks(Elaboratable):
         self.clock = clock
         self.clock_hz = clock_hz
 
-    def elaborate(self, platform: Platform) -> Module:
-        m = Module()
+    def add_to(self, m: Module, platform: Platform) -> None:
+        """Add the domains to a module, and with them what makes them."""
         for name, frequency in (("edge", EDGE_HZ), ("pulse", PULSE_HZ), ("sync", SYNC_HZ)):
             domain = ClockDomain(name, reset_less=True)
             m.domains += domain
             if name != "edge":  # nothing of the fabric runs on it
                 platform.add_clock_constraint(domain.clk, frequency * AIM)
+        m.submodules.clocks = self
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
         fast = Signal()
         slow = Signal()
         locked = Signal()

@@ -12,6 +12,7 @@ from ..pulse.config import PulseConfig
 from ..source import source_hash
 from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
 from .illuminator_pins import add_from_platform
+from .pins import drive
 
 FAST_ROUTES = {
     # keeps yosys from merging the channels' equal registers into nets that span the device
@@ -53,8 +54,8 @@ class Ecp5Illuminator(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        m.submodules.clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency)
+        Ecp5Clocks(clock.i, platform.default_clk_frequency).add_to(m, platform)
         illuminator = add_from_platform(m, self.config, Ecp5Gearing(), platform)
-        lamp = platform.request(*self.armed)
-        m.d.comb += (lamp.r if self.armed[0] == "rgb_led" else lamp).o.eq(illuminator.armed)
+        lamp = platform.request(*self.armed, dir="-")
+        drive(m, "armed", lamp.r if self.armed[0] == "rgb_led" else lamp, illuminator.armed)
         return m

@@ -17,6 +17,7 @@ from .ecp5_camera import SYNC_HZ as CAMERA_HZ
 from .ecp5_camera import CameraClocks, add_camera, camera_config
 from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
 from .ecp5_illuminator import FAST_ROUTES, Ecp5Illuminator
+from .pins import drive, input_of
 from .target import Options, Target
 
 # PMODs 0 and 1 lie on the right edge of the device, with the I/O registers for four ticks a clock
@@ -67,10 +68,14 @@ class _UsbClock(Elaboratable):
         self.clock = clock
         self.reset = reset
 
-    def elaborate(self, platform: Platform) -> Module:
-        m = Module()
+    def add_to(self, m: Module, platform: Platform) -> None:
+        """Add the domain to a module, and with them what makes them."""
         m.domains.usb = usb = ClockDomain()
         platform.add_clock_constraint(usb.clk, USB_HZ * AIM)
+        m.submodules.usb_clock = self
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
         left = Signal(range(2 * _PHY_CLOCKS), init=2 * _PHY_CLOCKS - 1)
         waiting = Signal(init=1)
         with m.If(left != 0):
@@ -91,14 +96,19 @@ class UsbCamera(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        m.submodules.clocks = CameraClocks(clock.i, platform.default_clk_frequency)
-        ulpi = platform.request("ulpi", 0)
-        phy_reset = Signal(init=1)
-        m.d.comb += ulpi.rst.o.eq(phy_reset)
-        m.submodules.usb_clock = _UsbClock(ulpi.clk.i, phy_reset)
-        # without its reset, which does not depend on a clock that may stand still
+        CameraClocks(clock.i, platform.default_clk_frequency).add_to(m, platform)
+        ulpi = platform.request("ulpi", 0, dir="-")
+        phy_reset, stop = Signal(init=1), Signal()
+        drive(m, "rst", ulpi.rst, phy_reset)
+        drive(m, "stp", ulpi.stp, stop)
+        _UsbClock(input_of(m, "clk", ulpi.clk), phy_reset).add_to(m, platform)
+        m.submodules.data_pins = data = io.Buffer("io", ulpi.data)
+        # as LUNA knows it, without a reset: that must not depend on a clock that may stand still
         bus = SimpleNamespace(
-            data=ulpi.data, clk=ulpi.clk, dir=ulpi.dir, nxt=ulpi.nxt, stp=ulpi.stp
+            data=data,
+            dir=SimpleNamespace(i=input_of(m, "dir", ulpi.dir)),
+            nxt=SimpleNamespace(i=input_of(m, "nxt", ulpi.nxt)),
+            stp=SimpleNamespace(o=stop),
         )
         camera = add_camera(m, self.config, platform)
         m.submodules.link = link = UsbLink(bus, serial=f"{self.config.serial:08d}")

@@ -13,6 +13,7 @@ from ..gearing.plain import DoubleGearing
 from ..pulse.config import Limits, PulseConfig
 from ..source import source_hash
 from .illuminator_pins import add_from_platform
+from .pins import drive_pin
 from .target import Options, Target
 
 PULSE_HZ = 100.5e6
@@ -47,13 +48,18 @@ class _Clocks(Elaboratable):
     def __init__(self, clock: Signal) -> None:
         self.clock = clock
 
-    def elaborate(self, platform: Platform) -> Module:
-        m = Module()
-        locked = Signal()
+    def add_to(self, m: Module, platform: Platform) -> None:
+        """Add the domains to a module, and with them what makes them."""
         for name, frequency in (("pulse", PULSE_HZ), ("sync", PULSE_HZ / 2)):
             domain = ClockDomain(name)
             m.domains += domain
             platform.add_clock_constraint(domain.clk, frequency * _AIM)
+        m.submodules.clocks = self
+
+    def elaborate(self, platform: Platform) -> Module:
+        m = Module()
+        locked = Signal()
+        for name in ("pulse", "sync"):
             m.submodules[f"{name}_reset"] = ResetSynchronizer(~locked, domain=name)
         m.submodules.pll = Instance(
             "SB_PLL40_2F_CORE",
@@ -79,9 +85,9 @@ class _Top(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        m.submodules.clocks = _Clocks(clock.i)
+        _Clocks(clock.i).add_to(m, platform)
         illuminator = add_from_platform(m, hx8k_config(), DoubleGearing(), platform)
-        m.d.comb += platform.request("led", 0).o.eq(illuminator.armed)
+        drive_pin(m, platform, "led", illuminator.armed)
         return m
 
 

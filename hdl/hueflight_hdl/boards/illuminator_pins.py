@@ -12,6 +12,7 @@ from amaranth.lib.wiring import In, Out
 from ..designs.illuminator import Illuminator, IlluminatorConfig
 from ..gearing.seam import Gearing
 from ..gearing.simulated import SimulatedGearing
+from .pins import drive, drive_pin, input_of, read_pin
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,13 @@ def add_from_platform(
         trigger_out=platform.request("trigger_out", 0, dir="-"),
     )
     illuminator = add_illuminator(m, config, gearing, ports)
-    uart = platform.request("uart", 0)
+    uart = platform.request("uart", 0, dir="-")
     m.d.comb += [
-        illuminator.rx.eq(uart.rx.i),
-        uart.tx.o.eq(illuminator.tx),
-        illuminator.frame_sync.eq(platform.request("frame_sync", 0).i),
-        platform.request("marker", 0).o.eq(illuminator.marker),
+        illuminator.rx.eq(input_of(m, "rx", uart.rx)),
+        illuminator.frame_sync.eq(read_pin(m, platform, "frame_sync")),
     ]
+    drive(m, "tx", uart.tx, illuminator.tx)
+    drive_pin(m, platform, "marker", illuminator.marker)
     return illuminator
 
 

@@ -15,6 +15,7 @@ from .ecp5_camera import SYNC_HZ as CAMERA_HZ
 from .ecp5_camera import CameraClocks, add_camera, camera_config
 from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
 from .ecp5_illuminator import FAST_ROUTES, Ecp5Illuminator
+from .pins import drive, input_of
 from .target import Options, Target
 
 # the right edge of the device has the I/O registers for four ticks a clock
@@ -95,24 +96,24 @@ class Ft601Camera(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        m.submodules.clocks = CameraClocks(clock.i, platform.default_clk_frequency)
-        pins = platform.request("ft601", 0)
+        CameraClocks(clock.i, platform.default_clk_frequency).add_to(m, platform)
+        pins = platform.request("ft601", 0, dir="-")
         m.domains.ft = ft = ClockDomain(reset_less=True)
         platform.add_clock_constraint(ft.clk, FT_HZ * AIM)
         m.submodules.link = link = Ft601Link()
         m.submodules.serial = serial = SerialLink(clock_hz=CAMERA_HZ, baud=_BAUD)
-        uart = platform.request("uart", 0)
+        uart = platform.request("uart", 0, dir="-")
         m.d.comb += [
-            ClockSignal("ft").eq(pins.clk.i),
-            pins.data.o.eq(link.data),
-            pins.be.o.eq(link.be),
-            pins.wr_n.o.eq(link.wr_n),
-            pins.rd_n.o.eq(1),
-            pins.oe_n.o.eq(1),
-            link.txe_n.eq(pins.txe_n.i),
-            serial.rx.eq(uart.rx.i),
-            uart.tx.o.eq(serial.tx),
+            ClockSignal("ft").eq(input_of(m, "clk", pins.clk)),
+            link.txe_n.eq(input_of(m, "txe_n", pins.txe_n)),
+            serial.rx.eq(input_of(m, "rx", uart.rx)),
         ]
+        drive(m, "data", pins.data, link.data)
+        drive(m, "be", pins.be, link.be)
+        drive(m, "wr_n", pins.wr_n, link.wr_n)
+        drive(m, "rd_n", pins.rd_n, 1)
+        drive(m, "oe_n", pins.oe_n, 1)
+        drive(m, "tx", uart.tx, serial.tx)
         camera = add_camera(m, self.config, platform)
         connect(m, camera.packets, link.packets)
         connect(m, serial.requests, camera.requests)

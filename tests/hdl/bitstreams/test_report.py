@@ -1,0 +1,68 @@
+"""Reports of place and route: clocks and cells, and the margin that decides."""
+
+import json
+
+import pytest
+
+from hueflight_hdl.build_report import BuildError, BuildReport, ClockResult, read_cells, read_clocks
+
+# shortened from what nextpnr 0.11 wrote for two boards
+ICE40 = {
+    "fmax": {
+        "clk": {"achieved": 55.33, "constraint": 57.79},
+        "illuminator.channel0_ddr.pulse_clk": {"achieved": 110.57, "constraint": 115.57},
+    },
+    "utilization": {
+        "ICESTORM_LC": {"available": 7680, "used": 6574},
+        "ICESTORM_RAM": {"available": 32, "used": 15},
+    },
+}
+ECP5 = {
+    "fmax": {
+        "$glbnet$clocks.pulse_clk": {"achieved": 221.0, "constraint": 230.0},
+        "$glbnet$clocks.clk": {"achieved": 95.5, "constraint": 57.5},
+        "$glbnet$other.pulse_clk": {"achieved": 219.0, "constraint": 230.0},
+    },
+}
+
+
+def written(tmp_path, content):
+    path = tmp_path / "nextpnr.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_clocks_are_found_by_domain_and_the_slowest_counts(tmp_path):
+    found = read_clocks(written(tmp_path, ICE40), {"pulse": 100.5, "sync": 50.25})
+    assert found["pulse"].margin == pytest.approx(0.1002, abs=1e-4)
+    assert found["sync"].reached_mhz == 55.33
+    found = read_clocks(written(tmp_path, ECP5), {"pulse": 200.0, "sync": 50.0})
+    assert found["pulse"].reached_mhz == 219.0
+    assert found["sync"].reached_mhz == 95.5
+
+
+def test_a_clock_that_is_not_there_is_no_clock_that_is_fast(tmp_path):
+    with pytest.raises(BuildError, match="no clock 'usb_clk'"):
+        read_clocks(written(tmp_path, ICE40), {"usb": 60.0})
+    with pytest.raises(BuildError, match="no report"):
+        read_clocks(tmp_path / "absent.json", {"sync": 50.0})
+
+
+def test_cells(tmp_path):
+    assert read_cells(written(tmp_path, ICE40), "ice40") == {
+        "logic cell": (6574, 7680),
+        "block RAM": (15, 32),
+    }
+
+
+def test_the_smallest_margin_decides(tmp_path):
+    clocks = {"pulse": ClockResult(200.0, 219.0), "sync": ClockResult(50.0, 95.0)}
+    report = BuildReport(
+        "illuminator", "board", tmp_path / "top.bit", "00", {}, clocks, 1, {1: 0.095}, 0.10
+    )
+    assert report.margin == pytest.approx(0.095)
+    assert not report.reached
+    content = json.loads(report.to_json())
+    assert content["reached"] is False
+    assert content["bitstream"] == "top.bit"
+    assert content["clocks"]["pulse"]["margin"] == 0.095

@@ -101,6 +101,7 @@ def build(
     report = BuildReport(
         design=target.design,
         board=target.board,
+        lanes=target.lanes,
         bitstream=bitstream,
         sha256=digest(bitstream),
         used=read_cells(folder / "nextpnr.json", target.family),

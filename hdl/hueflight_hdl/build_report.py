@@ -50,6 +50,8 @@ class BuildReport:
     Parameters
     ----------
     design, board : str
+    lanes : int or None
+        Codes per clock at the camera's sensor port.
     bitstream : Path
     sha256 : str
         Of the bitstream.
@@ -67,6 +69,7 @@ class BuildReport:
 
     design: str
     board: str
+    lanes: int | None
     bitstream: Path
     sha256: str
     used: dict[str, tuple[int, int]]

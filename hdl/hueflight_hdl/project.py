@@ -11,11 +11,9 @@ from .build import NAME, prepare
 from .build_report import BuildError
 from .toolchain import run_tool, tool_environment
 
-_SYNTHESIS = {
-    "ecp5": "synth_ecp5",
-    "ice40": "synth_ice40",
-    "xc3s": "synth_xilinx -family xc3s -ise",
-    "xc6s": "synth_xilinx -family xc6s -ise",
+_ISE_SYNTHESIS = {
+    "xc3s": "synth_xilinx -family xc3s -ise -flatten",
+    "xc6s": "synth_xilinx -family xc6s -ise -flatten",
 }
 _KINDS = {
     "LUT": ("LUT1", "LUT2", "LUT3", "LUT4", "LUT5", "LUT6", "SB_LUT4"),
@@ -63,11 +61,12 @@ def estimate(target: Target, folder: Path, /) -> dict[str, int]:
 
     It is an estimate: nothing has been packed, placed or routed.
     """
-    read = f"read_verilog {NAME}.v; "
-    if target.blackboxes:
+    if target.family in _ISE_SYNTHESIS:
         (folder / "blackboxes.v").write_text(target.blackboxes)
-        read = f"read_verilog -lib blackboxes.v; {read}"
-    passes = f"{read}{_SYNTHESIS[target.family]} -flatten -top {NAME}; "
+        passes = f"read_verilog -lib blackboxes.v; read_verilog {NAME}.v; "
+        passes += f"{_ISE_SYNTHESIS[target.family]} -top {NAME}; "
+    else:
+        passes = f"script {NAME}.ys; "
     passes += "tee -q -o cells.json stat -json"
     run_tool("yosys", "-q", "-p", passes, cwd=folder)
     cells = json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]

@@ -126,6 +126,7 @@ def camera(options: Options) -> Target:
         platform=lambda: _platform(_CAMERA),
         top=lambda: UsbCamera(options.lanes),
         clocks_mhz={"sync": CAMERA_HZ / 1e6, "usb": USB_HZ / 1e6},
+        lanes=camera_config(options.lanes).form.lanes,
         family="ecp5",
         options=CAMERA_ROUTES,
     )

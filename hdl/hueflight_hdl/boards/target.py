@@ -51,6 +51,8 @@ class Target:
         project for Xilinx ISE is written.
     options : mapping of str to str
         Overrides of the platform's build, as amaranth takes them.
+    lanes : int, optional
+        Codes per clock at the camera's sensor port.
     blackboxes : str
         Verilog of modules that come with the vendor's software, without their content.
     """
@@ -62,4 +64,5 @@ class Target:
     clocks_mhz: Mapping[str, float]
     family: str
     options: Mapping[str, str] = field(default_factory=dict)
+    lanes: int | None = None
     blackboxes: str = ""

@@ -129,6 +129,7 @@ def camera(options: Options) -> Target:
         platform=lambda: _platform(_CAMERA),
         top=lambda: Ft601Camera(options.lanes),
         clocks_mhz={"sync": CAMERA_HZ / 1e6, "ft": FT_HZ / 1e6},
+        lanes=camera_config(options.lanes).form.lanes,
         family="ecp5",
         options=CAMERA_ROUTES,
     )

@@ -96,6 +96,7 @@ def camera(options: Options) -> Target:
         platform=lambda: _platform(pins),
         top=lambda: OpalKellyCamera(options.lanes),
         clocks_mhz={"sync": SYNC_HZ / 1e6, "ok": OK_HZ / 1e6},
+        lanes=camera_config(options.lanes).form.lanes,
         family="xc6s",
         blackboxes=BLACKBOXES,
     )

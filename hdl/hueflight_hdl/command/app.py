@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -35,7 +36,7 @@ def main(words: Sequence[str] | None = None) -> None:
     """
     try:
         # importing them registers their commands
-        from . import build, verilog  # noqa: F401
+        from . import build, prove, simulate, verilog  # noqa: F401
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("amaranth", "amaranth_boards", "luna"):
             raise
@@ -49,6 +50,10 @@ def main(words: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         errors.print("interrupted")
         raise SystemExit(EXIT_INTERRUPTED) from None
+    except BrokenPipeError:
+        # whoever read our output has left; a second complaint at exit would be noise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(EXIT_FAILED) from None
     except OSError as error:
         where = f" {error.filename!r}" if error.filename else ""
         errors.print(f"error: {error.strerror or error}{where}")

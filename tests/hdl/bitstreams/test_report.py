@@ -58,7 +58,7 @@ def test_cells(tmp_path):
 def test_the_smallest_margin_decides(tmp_path):
     clocks = {"pulse": ClockResult(200.0, 219.0), "sync": ClockResult(50.0, 95.0)}
     report = BuildReport(
-        "illuminator", "board", tmp_path / "top.bit", "00", {}, clocks, 1, {1: 0.095}, 0.10
+        "illuminator", "board", None, tmp_path / "top.bit", "00", {}, clocks, 1, {1: 0.095}, 0.10
     )
     assert report.margin == pytest.approx(0.095)
     assert not report.reached

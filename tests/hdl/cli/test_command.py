@@ -1,8 +1,13 @@
 """The command: help, refusals without tracebacks, projects for other toolchains."""
 
 import pytest
+from amaranth.hdl import Assert, Module
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In
 
 from hueflight_hdl.command import main
+from hueflight_hdl.proofs.proof import Proof
+from hueflight_protocol import Frame, PacketParser
 
 
 def fails(capsys, *words):
@@ -18,7 +23,7 @@ def test_help_names_every_command(capsys):
         main(["--help"])
     assert not ended.value.code
     said = capsys.readouterr().out
-    for command in ("build", "verilog"):
+    for command in ("build", "verilog", "simulate", "prove"):
         assert command in said
 
 
@@ -31,6 +36,11 @@ def test_help_names_every_command(capsys):
         (["build", "illuminator", "--board", "hx8k", "--accept-margin", "-5"], "-5"),
         (["verilog", "camera", "--board", "xem6310"], "not guessed"),
         (["verilog", "camera", "--board", "xem6310", "--pins", "none.toml"], "none.toml"),
+        (["prove", "radio"], "one of illuminator, camera"),
+        (["prove", "camera", "--only", "magic"], "camera-stable"),
+        (["simulate", "radio"], "one of illuminator, camera"),
+        (["simulate", "camera", "--frames", "0"], "--frames 0"),
+        (["simulate", "camera", "--occupancy", "2"], "from 0 to 1"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
@@ -76,3 +86,50 @@ def test_projects_of_the_paper_s_boards(builder, tmp_path, capsys):
 
 
 _SINGLE = ("clock", "rx", "tx", "trigger", "trigger_out", "frame_sync", "armed")
+
+
+def test_proofs_are_listed_and_one_is_proved(prover, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", "illuminator", "--list"])
+    assert not ended.value.code
+    listed = capsys.readouterr().out.splitlines()
+    assert all("for all time" in line or "for the first" in line for line in listed)
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", "illuminator", "--only", "illuminator-watchdog"])
+    assert not ended.value.code
+    assert capsys.readouterr().out.startswith("proved: The board is armed only if")
+
+
+def test_what_does_not_hold_is_said_and_ends_with_2(prover, capsys, monkeypatch):
+    class Never(wiring.Component):
+        def __init__(self):
+            super().__init__({"i": In(1)})
+
+        def elaborate(self, platform):
+            m = Module()
+            m.d.comb += Assert(~self.i)
+            return m
+
+    false = Proof("false", "An input is never high.", Never, depth=2)
+    monkeypatch.setattr("hueflight_hdl.proofs.illuminator.PROOFS", (false,))
+    code, said = fails(capsys, "prove", "illuminator")
+    assert code == 2
+    assert "1 of 1 statements do not hold" in said
+
+
+@pytest.mark.slow
+def test_simulations_write_a_waveform_and_packets(simulator, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "illuminator", "--folder", str(tmp_path)])
+    assert not ended.value.code
+    changes = (tmp_path / "train.vcd").read_text()
+    assert "$timescale 1 ps" in changes
+    assert "led8" in changes
+    assert (tmp_path / "train.svg").read_text().startswith("<svg")
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "camera", "--frames", "3", "--folder", str(tmp_path)])
+    assert not ended.value.code
+    parser = PacketParser()
+    packets = list(parser.feed((tmp_path / "packets.bin").read_bytes()))
+    assert sum(isinstance(packet.content, Frame) for packet in packets) == 3
+    assert parser.report.damaged == 0

@@ -30,6 +30,14 @@ setup(
             py_limited_api=True,
             optional=True,  # without a compiler the definition in NumPy takes over
         ),
+        Extension(
+            "hueflight.reconstruction._pooling",
+            sources=[f"{RECONSTRUCTION}/_pooling.c"],
+            depends=[f"{RECONSTRUCTION}/_vector.h"],
+            extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
+            py_limited_api=True,
+            optional=True,
+        ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 from hueflight.calibration import Calibration
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
-from hueflight.reconstruction import joint, paper
+from hueflight.reconstruction import few_photons, joint, paper
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.quality import Quality
 
-METHODS = ("joint", "paper")
+METHODS = ("joint", "paper", "pooled")
 
 
 def reconstruct(
@@ -34,9 +34,10 @@ def reconstruct(
     histogram : (row, col, code) counts, raw codes on the last axis.
     calibration : of the same instrument.
     method : ``"joint"``, maximum likelihood of delay, every band's amplitude and background
-        together; or ``"paper"``, the published correlation method.
-    depth_range : nearest and farthest depth to search, m (joint only); default half the pulses'
-        spacing about the reference's distance.
+        together; ``"pooled"``, the same for few photons: neighbours lend where a pixel's own
+        don't suffice; or ``"paper"``, the published correlation method.
+    depth_range : nearest and farthest depth to search, m (not for ``"paper"``); default half the
+        pulses' spacing about the reference's distance.
     frames : exposures behind the histogram, a number or (row, col); by default the sum over
         codes where the sensor reports its empty exposures, else as many as the reference had.
     range_correction : multiply reflectance by the squared ratio of distances.
@@ -46,7 +47,8 @@ def reconstruct(
     Returns
     -------
     Dataset with `depth`, `depth_std` (m), `reflectance`, `reflectance_std`, `background`
-    (counts per code), `photons` and `quality`; what can't be known is NaN with a flag.
+    (counts per code), `photons` and `quality`; what can't be known is NaN with a flag. Method
+    ``"pooled"`` adds `resolution`, the width in pixels of what an estimate rests on.
 
     Raises
     ------
@@ -59,7 +61,16 @@ def reconstruct(
     counts = check_histogram(histogram, instrument)
     exposures = frames_per_pixel(counts, instrument, frames)
     light = calibration.bins.in_time_order(counts).astype(np.float32, copy=False)
-    if method == "joint":
+    if method == "pooled":
+        estimates = few_photons.estimate(
+            counts,
+            exposures,
+            calibration,
+            range_correction=range_correction,
+            pileup_correction=pileup_correction,
+            depth_range=depth_range,
+        )
+    elif method == "joint":
         estimates = joint.estimate(
             light,
             exposures,

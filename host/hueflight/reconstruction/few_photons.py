@@ -1,0 +1,450 @@
+"""Images from a few photons per pixel: neighbours lend photons where a pixel's own don't suffice.
+
+1. *Pilot*: the delay of each pixel from the likelihood of a white train over a square that holds
+   enough photons; then over neighbours of the same colour, so that it does not blur steps.
+2. *Pooling*: in circles that grow from round to round a pixel takes in the photons of neighbours
+   that its pool so far does not contradict, in brightness and colour or in depth. Its pool is
+   closed as soon as it holds enough.
+3. *Estimate*: delay by one step of scoring over the pool, amplitudes from its photons in the
+   slots between pulses. A pixel that has enough photons of its own gets the joint fit.
+
+Every pixel reports how many pixels its estimate rests on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter
+
+from hueflight.calibration import Calibration
+from hueflight.errors import HueflightError
+from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.reconstruction import joint
+from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.pooling import (
+    Floats,
+    Likeness,
+    Limits,
+    Photons,
+    Pooled,
+    lag_likelihood,
+    list_photons,
+    pool,
+    scores,
+    slot_counts,
+)
+from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.slots import Tables, tables_for
+
+LAG_NS = 2.0  #: between delays of the pilot
+PILOT_PHOTONS = 300.0  #: in the square of the pilot
+PILOT_REACHES = (1, 2, 3, 4, 6, 9, 13)  #: squares of 2·reach + 1 pixels
+SIGHT_PHOTONS = 150.0  #: that neighbours of the same colour must hold to be better
+SIGHT_RADII = (1.5, 3.0, 6.0)  #: of the rounds by colour alone, in pixels
+RADII = (1.5, 3.0, 6.0, 14.0)  #: of the rounds by colour and depth
+LIMITS = Limits(colour=10.0, depth_colour=15.0, depth=12.0)
+ENOUGH = 1000.0  #: photons that a pool is closed with
+PRIOR_PIXELS = 0.15  #: so many pixels of the image's mean count in every pool
+FLOOR = 0.01  #: of a pool's photons: least amplitude and background in the weights
+TINY = np.float32(1e-12)  #: keeps pools without a photon from dividing by 0
+STEP_NS = 1.5  #: that scoring may move a delay by
+
+
+@dataclass(frozen=True, eq=False)
+class _Pools:
+    """What the pools of all pixels hold, (row, col) each.
+
+    Attributes
+    ----------
+    delays_ns, variances : of the delay.
+    slots : (slot, row, col) mean photons per pixel.
+    pixels, depth_pixels : so many that an equal-weight pool would hold as many.
+    information : on the delay, per ns².
+    """
+
+    delays_ns: Floats
+    variances: Floats
+    slots: Floats
+    pixels: Floats
+    depth_pixels: Floats
+    information: Floats
+
+
+def estimate(
+    counts: NDArray[np.generic],
+    frames: NDArray[np.float64] | None,
+    calibration: Calibration,
+    *,
+    range_correction: bool = False,
+    pileup_correction: bool = True,
+    depth_range: tuple[float, float] | None = None,
+    enough: float = ENOUGH,
+    threads: int = 1,
+) -> Estimates:
+    """Depth and reflectance of every pixel, with the help of its neighbours.
+
+    Parameters
+    ----------
+    counts : (row, col, code) as the sensor gives them.
+    frames : (row, col) exposures behind them, or None to assume as many as the reference had.
+    enough : photons that suffice: a pixel that has them is left to itself.
+    threads : that share the rows; the result does not depend on it.
+    range_correction, pileup_correction, depth_range : as in `joint.estimate`.
+
+    Raises
+    ------
+    HueflightError
+        If the instrument has no period, or `enough` is not above 0.
+    """
+    if not enough > 0:
+        raise HueflightError(f"enough = {enough!r}: must be above 0 photons")
+    search_ns = joint.search_range_ns(calibration, depth_range)
+    tables = tables_for(calibration, search_ns)
+    seen = _photons(counts, calibration, tables)
+    shape = counts.shape[:2]
+    own = seen.sums(seen.weights).reshape(shape)
+    sight = _sight(seen, shape, tables, search_ns)
+    pilot = sight.delays(_square_sums(_corner_sums(sight.likelihood), _pilot_reach(own)))
+    pilot = _sharpened(seen, pilot, sight, calibration.usable, tables, threads)
+    pools = _pools(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
+    pooled = _in_metres(
+        pools,
+        own,
+        frames,
+        calibration,
+        tables,
+        search_ns=search_ns,
+        range_correction=range_correction,
+        pileup_correction=pileup_correction,
+    )
+    sufficient = calibration.usable & (own >= enough)
+    if not sufficient.any():
+        return pooled
+    light = calibration.bins.in_time_order(counts).astype(np.float32)
+    light[~sufficient] = 0
+    alone = joint.estimate(
+        light,
+        frames,
+        calibration,
+        range_correction=range_correction,
+        pileup_correction=pileup_correction,
+        depth_range=depth_range,
+    )
+    merged = {
+        field.name: np.where(sufficient, getattr(alone, field.name), getattr(pooled, field.name))
+        for field in fields(Estimates)
+        if getattr(alone, field.name) is not None and getattr(pooled, field.name) is not None
+    }
+    resolution = pooled.resolution
+    assert resolution is not None
+    return replace(pooled, **merged, resolution=np.where(sufficient, 1.0, resolution))
+
+
+def _photons(counts: NDArray[np.generic], calibration: Calibration, tables: Tables) -> Photons:
+    """Photons of all usable pixels; of the others none."""
+    bins = calibration.bins
+    times_ns = np.full(counts.shape[-1], -1.0, np.float32)
+    times_ns[bins.codes] = bins.centers_ns
+    offsets_ns = np.where(calibration.usable, calibration.pixel_delay_ns, 0).astype(np.float32)
+    flat = counts.reshape(-1, counts.shape[-1])
+    seen = list_photons(flat, times_ns, offsets_ns.ravel(), tables.period_ns)
+    unusable = ~calibration.usable.ravel()
+    if unusable.any():
+        seen.weights[unusable[seen.owners]] = 0
+    return seen
+
+
+# -- pilot ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """Log-likelihood of a white train at some delays.
+
+    Attributes
+    ----------
+    likelihood : (row, col, lag).
+    lags_ns : (lag,) evenly spaced.
+    """
+
+    likelihood: Floats
+    lags_ns: NDArray[np.float64]
+
+    def delays(self, sums: NDArray[np.floating]) -> Floats:
+        """Delay (row, col) of the highest of sums (row, col, lag), freed of strays."""
+        spacing_ns = self.lags_ns[1] - self.lags_ns[0]
+        delays = self.lags_ns[0] + _peak(sums) * spacing_ns
+        return median_filter(delays.astype(np.float32), 3, mode="nearest")
+
+
+def _sight(
+    seen: Photons, shape: tuple[int, ...], tables: Tables, search_ns: tuple[float, float]
+) -> _Sight:
+    """Likelihood of delays over the search, each pixel for itself."""
+    background = 0.1
+    if tables.quiet.mean() > 0.05:
+        cell = np.floor(seen.times_ns * np.float32(tables.cells_per_ns)).astype(np.intp)
+        dark = seen.weights[tables.quiet[cell % tables.quiet.size]].sum() / tables.quiet.mean()
+        background = float(np.clip(dark / max(seen.weights.sum(), 1), 0.02, 0.9))
+    model = (tables.shares @ tables.white) * (1 - background) + background / tables.period_ns
+    table = np.log(model * tables.period_ns).astype(np.float32)
+    first, last = np.floor(search_ns[0] / LAG_NS), np.ceil(search_ns[1] / LAG_NS)
+    lags = (np.arange(first, last + 1) * round(LAG_NS * tables.cells_per_ns)).astype(np.int32)
+    likelihood = lag_likelihood(seen, table, tables.cells_per_ns, lags)
+    return _Sight(likelihood.reshape(*shape, lags.size), lags / tables.cells_per_ns)
+
+
+def _pilot_reach(own: Floats) -> NDArray[np.intp]:
+    """Reach (row, col) of the least square that holds enough photons."""
+    photons = _corner_sums(own[..., None])
+    reach = np.full(own.shape, PILOT_REACHES[-1])
+    for tried in reversed(PILOT_REACHES):
+        reach[_square_sums(photons, tried)[..., 0] >= PILOT_PHOTONS] = tried
+    return reach
+
+
+def _sharpened(
+    seen: Photons,
+    pilot: Floats,
+    sight: _Sight,
+    usable: NDArray[np.bool_],
+    tables: Tables,
+    threads: int,
+) -> Floats:
+    """Delay (row, col) over neighbours of the same colour instead of over squares."""
+    slots = _slots(seen, pilot, tables)
+    pools = _first_pools(slots, pilot, np.zeros_like(pilot), usable)
+    active = np.ones(pilot.shape, bool)
+    planes = np.concatenate(
+        [np.moveaxis(sight.likelihood, -1, 0), slots.sum(axis=0, keepdims=True)]
+    )
+    for radius in SIGHT_RADII:
+        last = radius == SIGHT_RADII[-1]
+        like = _likeness(pools, slots, usable, tables)
+        data, spectral = (planes, 0) if last else (slots, len(slots))
+        found = pool(data, spectral, usable, active, like, radius, LIMITS, threads=threads)
+        if last:
+            sharp = sight.delays(np.moveaxis(found.sums[:-1], 0, -1))
+            return np.where(found.sums[-1] >= SIGHT_PHOTONS, sharp, pilot)
+        pools = replace(
+            pools,
+            slots=found.sums / np.maximum(found.weight, TINY),
+            pixels=found.weight**2 / np.maximum(found.squares, TINY),
+        )
+    return pilot
+
+
+def _peak(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Place (…) of the highest value along the last axis, by a parabola through three."""
+    count = values.shape[-1]
+    best = values.argmax(axis=-1)
+    inner = np.clip(best, 1, count - 2)[..., None]
+    left, here, right = (
+        np.take_along_axis(values, inner + step, axis=-1)[..., 0] for step in (-1, 0, 1)
+    )
+    bend = left - 2 * here + right
+    shift = np.divide(left - right, 2 * bend, out=np.zeros_like(bend), where=bend < 0)
+    return inner[..., 0] + np.clip(shift, -1, 1)
+
+
+def _corner_sums(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Sums (row + 1, col + 1, …) of all values above and to the left."""
+    corners = np.zeros((values.shape[0] + 1, values.shape[1] + 1, values.shape[2]))
+    np.cumsum(values, axis=0, out=corners[1:, 1:])
+    np.cumsum(corners[1:, 1:], axis=1, out=corners[1:, 1:])
+    return corners
+
+
+def _square_sums(
+    corners: NDArray[np.float64], reach: NDArray[np.intp] | int
+) -> NDArray[np.float64]:
+    """Sums (row, col, …) over squares of each pixel's own size."""
+    rows, cols = corners.shape[0] - 1, corners.shape[1] - 1
+    row, col = np.arange(rows)[:, None], np.arange(cols)
+    top, bottom = np.maximum(row - reach, 0), np.minimum(row + reach + 1, rows)
+    left, right = np.maximum(col - reach, 0), np.minimum(col + reach + 1, cols)
+    flat = corners.reshape(-1, corners.shape[-1])
+    sums = flat.take(bottom * (cols + 1) + right, axis=0)
+    sums -= flat.take(top * (cols + 1) + right, axis=0)
+    sums -= flat.take(bottom * (cols + 1) + left, axis=0)
+    sums += flat.take(top * (cols + 1) + left, axis=0)
+    return sums
+
+
+# -- pooling ----------------------------------------------------------------------------------
+
+
+def _pools(
+    seen: Photons,
+    pilot: Floats,
+    usable: NDArray[np.bool_],
+    tables: Tables,
+    search_ns: tuple[float, float],
+    enough: float,
+    threads: int,
+) -> _Pools:
+    """Pools of all pixels, each closed when it holds enough."""
+    slots = _slots(seen, pilot, tables)
+    ones = usable.astype(np.float32)
+    around = _box(np.concatenate([slots, ones[None]]), 4)
+    score, information = _scored(seen, pilot, around[:-1] / np.maximum(around[-1], 1), tables)
+    data = np.concatenate([slots, np.stack([information, information * pilot + score, ones])])
+    pools = _first_pools(slots, pilot, _box(information[None], 2)[0], usable)
+    active = np.ones(pilot.shape, bool)
+    for radius in RADII:
+        like = _likeness(pools, slots, usable, tables)
+        found = pool(data, len(slots), usable, active, like, radius, LIMITS, threads=threads)
+        last = radius == RADII[-1]
+        pools, active = _closed(pools, active, found, search_ns, enough, last=last)
+        if not active.any():
+            break
+    return pools
+
+
+def _slots(seen: Photons, delays_ns: Floats, tables: Tables) -> Floats:
+    """Photons (slot, row, col) of the pixels themselves."""
+    count = tables.bands + 1
+    found = slot_counts(seen, delays_ns.ravel(), tables.slots, tables.cells_per_ns, count)
+    return found.reshape(count, *delays_ns.shape)
+
+
+def _first_pools(
+    slots: Floats, delays_ns: Floats, information: Floats, usable: NDArray[np.bool_]
+) -> _Pools:
+    """Pools to begin with: squares of three pixels."""
+    near = _box(np.concatenate([slots, usable[None].astype(np.float32)]), 1)
+    return _Pools(
+        delays_ns=delays_ns,
+        variances=np.full(delays_ns.shape, np.inf, np.float32),
+        slots=near[:-1] / np.maximum(near[-1], 1),
+        pixels=near[-1],
+        depth_pixels=near[-1],
+        information=information,
+    )
+
+
+def _likeness(pools: _Pools, slots: Floats, usable: NDArray[np.bool_], tables: Tables) -> Likeness:
+    """What neighbours are judged by; the image's mean keeps empty pools from being sure."""
+    mean = slots.sum(axis=(1, 2)) / max(int(usable.sum()), 1)
+    prior = (tables.groups.T @ mean * PRIOR_PIXELS)[:, None, None]
+    groups = np.tensordot(tables.groups, pools.slots, axes=(0, 0))
+    means = (groups * pools.pixels + prior) / (pools.pixels + np.float32(PRIOR_PIXELS))
+    return Likeness(means, pools.delays_ns, pools.pixels, pools.information)
+
+
+def _scored(
+    seen: Photons, delays_ns: Floats, spectrum: Floats, tables: Tables
+) -> tuple[Floats, Floats]:
+    """Score and information (row, col) of the delays, given photons in slots around a pixel."""
+    total = spectrum.sum(axis=0)
+    unmixed = np.tensordot(tables.unmixing, spectrum, axes=(1, 0))
+    unmixed = np.maximum(unmixed, FLOOR * total + np.float32(1e-9))
+    amplitudes = np.moveaxis(unmixed[:-1], 0, -1).reshape(-1, tables.bands)
+    floors = (unmixed[-1] / np.float32(tables.period_ns)).ravel()
+    score, information = scores(
+        seen,
+        delays_ns.ravel(),
+        tables.shares,
+        tables.slopes,
+        tables.cells_per_ns,
+        amplitudes,
+        floors,
+    )
+    return score.reshape(delays_ns.shape), information.reshape(delays_ns.shape)
+
+
+def _closed(
+    pools: _Pools,
+    active: NDArray[np.bool_],
+    found: Pooled,
+    search_ns: tuple[float, float],
+    enough: float,
+    *,
+    last: bool,
+) -> tuple[_Pools, NDArray[np.bool_]]:
+    """Pools after a round, and which of them go on; those that close take their delay."""
+    *slots, information, moment, level = found.sums
+    weight = np.maximum(found.weight, TINY)
+    pixels = found.weight**2 / np.maximum(found.squares, TINY)
+    mean = np.stack(slots) / weight
+    level = np.maximum(level, TINY)
+    depth_pixels = level**2 / np.maximum(found.depth_squares, TINY)
+    closing = active & (last | (mean.sum(axis=0) * pixels >= enough))
+    step = moment / np.maximum(information, TINY) - pools.delays_ns
+    moved = pools.delays_ns + np.clip(step, -STEP_NS, STEP_NS)
+    moved = np.clip(moved, search_ns[0], search_ns[1])
+    # Σ w² I / (Σ w I)², for neighbours that tell about as much
+    variances = found.depth_squares / level / np.maximum(information, TINY)
+    after = _Pools(
+        delays_ns=np.where(closing, moved, pools.delays_ns).astype(np.float32),
+        variances=np.where(closing, variances, pools.variances),
+        slots=np.where(active, mean, pools.slots),
+        pixels=np.where(active, pixels, pools.pixels),
+        depth_pixels=np.where(active, depth_pixels, pools.depth_pixels),
+        information=np.where(active, information / level * depth_pixels, pools.information),
+    )
+    return after, active & ~closing
+
+
+def _box(values: Floats, reach: int) -> Floats:
+    """Sums (plane, row, col) over squares."""
+    side = 2 * reach + 1
+    return uniform_filter(values, (0, side, side), mode="constant") * np.float32(side**2)
+
+
+# -- image ------------------------------------------------------------------------------------
+
+
+def _in_metres(
+    pools: _Pools,
+    own: Floats,
+    frames: NDArray[np.float64] | None,
+    calibration: Calibration,
+    tables: Tables,
+    *,
+    search_ns: tuple[float, float],
+    range_correction: bool,
+    pileup_correction: bool,
+) -> Estimates:
+    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
+    depth = calibration.distance + pools.delays_ns * along_axis
+    deviation_ns = np.sqrt(pools.variances)
+    known_ns = calibration.pixel_delay_std_ns / np.sqrt(np.maximum(pools.depth_pixels, 1))
+    depth_std = np.hypot(deviation_ns, known_ns) * along_axis
+    unmixed = np.tensordot(tables.unmixing, pools.slots, axes=(1, 0))
+    variance = np.tensordot(tables.unmixing**2, pools.slots, axes=(1, 0)) / np.maximum(
+        pools.pixels, 1e-12
+    )
+    photons = pools.slots.sum(axis=0).astype(np.float64)
+    scale = joint._reflectance_scale(
+        photons, frames, calibration, pileup_correction=pileup_correction
+    )
+    if range_correction:
+        ratio = depth / calibration.distance if calibration.distance > 0 else np.nan * depth
+        scale = scale * ratio**2
+    gain = scale / calibration.brightness[:, None, None]
+    reflectance, reflectance_std = gain * unmixed[:-1], gain * np.sqrt(variance[:-1])
+
+    quality = np.zeros(own.shape, np.uint16)
+    quality[calibration.dead] |= int(Quality.DEAD)
+    quality[calibration.hot] |= int(Quality.HOT)
+    blind_ns = joint.BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
+    quality[calibration.usable & ~(deviation_ns < blind_ns)] |= int(Quality.STARVED)
+    unknown = quality != 0
+    background = unmixed[-1] * calibration.bin_width_ns / calibration.bins.span_ns
+    resolution = np.sqrt(pools.depth_pixels).astype(np.float64)
+    for values in (depth, depth_std, background, resolution, *reflectance, *reflectance_std):
+        values[unknown] = np.nan
+    return Estimates(
+        depth=depth,
+        depth_std=depth_std,
+        reflectance=reflectance,
+        reflectance_std=reflectance_std,
+        background=background,
+        photons=own.astype(np.float64),
+        quality=quality,
+        resolution=resolution,
+    )

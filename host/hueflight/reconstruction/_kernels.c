@@ -13,11 +13,13 @@
 #include "_search.h"
 #include "_likelihood.h"
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
-#define EVERY_WIDTH __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define EVERY_WIDTH
+#ifndef MODULE
+#define MODULE _kernels
 #endif
+#define NAMED(x, y) x##y
+#define INIT(name) NAMED(PyInit_, name)
+#define QUOTED(x) #x
+#define TEXT(name) QUOTED(name)
 
 /* Where counts lie, and of which type: 'H', 'I' or 'f'. */
 typedef struct {
@@ -32,9 +34,10 @@ typedef struct {
 } Results;
 
 typedef struct {
-    float *fine, *half, *coarse, *sensor, *scores;
+    float *fine, *rough, *sensor, *scores;
     int8_t *tried;
-    size_t fine_stride, half_stride;
+    size_t fine_stride, rough_stride, lags;
+    vec *work;
     Equations *equations;
     Track *tracks;
 } Scratch;
@@ -81,9 +84,6 @@ INLINE int group(const Plan *plan, int before, int factor, const float *from, fl
         int size = (plan->sizes[v] + before - 1) / before, full = size / factor;
         if (factor == 1)
             memcpy(to + made, from, (size_t)size * sizeof *to);
-        else if (factor == 2)
-            for (int j = 0; j < full; j++)
-                to[made + j] = from[2 * j] + from[2 * j + 1];
         else if (factor == 4)
             for (int j = 0; j < full; j++)
                 to[made + j] = (from[4 * j] + from[4 * j + 1]) + (from[4 * j + 2] + from[4 * j + 3]);
@@ -113,20 +113,20 @@ INLINE void settle(const Plan *plan, const Scratch *scratch, const float *totals
     const Rules *rules = &plan->rules;
     Track *active[TRACKS];
     float moved[LANES];
-    if (rules->halves)
+    if (rules->rough)
         for (int i = 0; i < count; i += LANES)
-            step(plan, &plan->half, scratch->half, scratch->half_stride, totals, offsets,
-                 tracks + i, count - i < LANES ? count - i : LANES, scratch->equations, moved);
+            step(plan, &plan->rough, scratch->rough, scratch->rough_stride, totals, offsets,
+                 tracks + i, count - i < LANES ? count - i : LANES, scratch->work, scratch->equations, moved);
     int left = 0;
     for (int i = 0; i < count; i++)
-        if (!rules->halves || sqrtf(tracks[i]->variance) > rules->target_ns)
+        if (!rules->rough || sqrtf(tracks[i]->variance) > rules->target_ns)
             active[left++] = tracks[i];
     for (int round = 0; round < rules->steps && left; round++) {
         int kept = 0;
         for (int i = 0; i < left; i += LANES) {
             int some = left - i < LANES ? left - i : LANES;
             step(plan, &plan->fine, scratch->fine, scratch->fine_stride, totals, offsets,
-                 active + i, some, scratch->equations, moved);
+                 active + i, some, scratch->work, scratch->equations, moved);
             for (int lane = 0; lane < some; lane++) {
                 Track *track = active[i + lane];
                 track->steps++;
@@ -140,10 +140,10 @@ INLINE void settle(const Plan *plan, const Scratch *scratch, const float *totals
 
 /* Between a pixel's two tracks: the likelier is kept, the other told if it is nearly as likely. */
 INLINE void decide(const Plan *plan, const float *counts, float total, Track *mine,
-                   const Track *rival, float *other)
+                   const Track *rival, vec *work, float *other)
 {
-    double lead = best_likelihood(plan, counts, total, mine)
-                - best_likelihood(plan, counts, total, rival);
+    double lead = best_likelihood(plan, counts, total, mine, work)
+                - best_likelihood(plan, counts, total, rival, work);
     if (fabsf(mine->delay - rival->delay) <= 3 * sqrtf(mine->variance))
         return; /* both found the same maximum */
     int close = fabs(lead) < (double)plan->rules.ambiguous;
@@ -157,44 +157,60 @@ INLINE void decide(const Plan *plan, const float *counts, float total, Track *mi
         *other = loser;
 }
 
+/* Counts of one pixel at all bin widths; returns their sum. */
+INLINE float prepare(const Plan *plan, const Light *light, size_t pixel, int place,
+                     const Scratch *scratch)
+{
+    float *fine = scratch->fine + (size_t)place * scratch->fine_stride;
+    float *rough = scratch->rough + (size_t)place * scratch->rough_stride;
+    if (plan->factor == 1)
+        read_counts(light, pixel, plan->bins, fine);
+    else {
+        read_counts(light, pixel, plan->bins, scratch->sensor);
+        group(plan, 1, plan->factor, scratch->sensor, fine);
+    }
+    group(plan, plan->factor, plan->coarse.factor, fine, rough);
+    vec whole = {0};
+    for (int block = 0; block < plan->fine.blocks; block++)
+        whole += load(fine + block * LANES);
+    return sum(whole);
+}
+
 INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets, size_t first,
                      int count, const Results *results, const Scratch *scratch)
 {
     const Rules *rules = &plan->rules;
-    float totals[TILE], local[TILE], others[TILE];
+    float totals[TILE + PARTY], local[TILE + PARTY], others[TILE];
     Track *tracks[TRACKS];
     int rivals[TILE], made = count;
     for (int p = 0; p < count; p++) {
-        float *fine = scratch->fine + (size_t)p * scratch->fine_stride;
-        float *half = scratch->half + (size_t)p * scratch->half_stride;
-        local[p] = offsets[first + (size_t)p];
         others[p] = NAN;
         rivals[p] = -1;
-        if (plan->factor == 1)
-            read_counts(light, first + (size_t)p, plan->bins, fine);
-        else {
-            read_counts(light, first + (size_t)p, plan->bins, scratch->sensor);
-            group(plan, 1, plan->factor, scratch->sensor, fine);
-        }
-        group(plan, plan->factor, plan->half.factor, fine, half);
-        group(plan, plan->factor, plan->coarse.factor, fine, scratch->coarse);
-        vec whole = {0};
-        for (int block = 0; block < plan->fine.blocks; block++)
-            whole += load(fine + block * LANES);
-        totals[p] = sum(whole);
+        local[p] = offsets[first + (size_t)p];
+        totals[p] = prepare(plan, light, first + (size_t)p, p, scratch);
+    }
+    for (int p = count; p % PARTY; p++) { /* to make up the last party */
+        local[p] = local[count - 1];
+        totals[p] = totals[count - 1];
+    }
+    for (int p = 0; p < count; p++) {
+        const float *rough = scratch->rough + (size_t)p * scratch->rough_stride;
+        if (p % PARTY == 0)
+            search(plan, rough, scratch->rough_stride, totals + p, local + p, scratch->scores,
+                   scratch->tried, scratch->lags);
+        const float *scores = scratch->scores + (size_t)(p % PARTY) * scratch->lags;
+        const int8_t *tried = scratch->tried + (size_t)(p % PARTY) * scratch->lags;
         int best, second;
-        search(plan, scratch->coarse, totals[p], local[p], scratch->scores, scratch->tried);
-        two_best(&plan->coarse, scratch->scores, &best, &second);
+        two_best(&plan->coarse, scores, &best, &second);
         tracks[p] = scratch->tracks + p;
         tracks[p]->pixel = p;
-        start(plan, scratch->coarse, totals[p], scratch->scores, scratch->tried, best, tracks[p]);
-        float worse = second < 0 ? INFINITY : scratch->scores[best] - scratch->scores[second];
+        start(plan, rough, totals[p], scores, tried, best, tracks[p]);
+        float worse = second < 0 ? INFINITY : scores[best] - scores[second];
         if (worse < rules->margin + rules->raster * totals[p]) {
             rivals[p] = made;
             tracks[made] = scratch->tracks + made;
             tracks[made]->pixel = p;
-            start(plan, scratch->coarse, totals[p], scratch->scores, scratch->tried, second,
-                  tracks[made]);
+            start(plan, rough, totals[p], scores, tried, second, tracks[made]);
             made++;
         }
     }
@@ -204,11 +220,12 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets,
         Track *track = scratch->tracks + p;
         size_t at = first + (size_t)p;
         if (rivals[p] >= 0)
-            decide(plan, fine, totals[p], track, scratch->tracks + rivals[p], &others[p]);
+            decide(plan, fine, totals[p], track, scratch->tracks + rivals[p], scratch->work,
+                   &others[p]);
         float variance = track->variance;
         float delay = track->delay + 0.25f * variance * variance * track->cubic;
         if (rules->posterior && variance > rules->spread_ns * rules->spread_ns / rules->few)
-            posterior(plan, fine, totals[p], track, &delay, &variance);
+            posterior(plan, fine, totals[p], track, scratch->work, &delay, &variance);
         float low = local[p] + rules->low_ns, high = local[p] + rules->high_ns;
         delay = delay < low ? low : delay > high ? high : delay;
         variance *= 1 + (float)(plan->bands + 2) / totals[p];
@@ -225,7 +242,6 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets,
     }
 }
 
-EVERY_WIDTH
 static void fit_pixels(const Plan *plan, const Light *light, const float *offsets,
                        const Results *results, const Scratch *scratch)
 {
@@ -249,29 +265,32 @@ static void *take(char **place, size_t bytes)
 /* All scratch memory from one block, or NULL. */
 static char *make_scratch(const Plan *plan, Scratch *scratch)
 {
-    size_t lags = vectors(plan->coarse.lags);
-    scratch->fine_stride = (size_t)plan->fine.blocks * LANES + LANES; /* not a power of two */
-    scratch->half_stride = (size_t)plan->half.blocks * LANES + LANES;
-    size_t bytes = 64 * 16 + TILE * 4 * (scratch->fine_stride + scratch->half_stride)
-                 + 4 * (vectors(plan->coarse.bins) + vectors(plan->bins) + lags) + lags
+    scratch->lags = vectors(plan->coarse.lags);
+    scratch->fine_stride = (size_t)plan->fine.blocks * LANES + 16; /* not a power of two */
+    scratch->rough_stride = (size_t)plan->rough.blocks * LANES + 16;
+    size_t work = 5 * sizeof(vec) * (size_t)plan->fine.blocks;
+    size_t bytes = 64 * 16
+                 + TILE * 4 * (scratch->fine_stride + scratch->rough_stride)
+                 + 4 * vectors(plan->bins) + PARTY * 5 * scratch->lags + work
                  + sizeof(Equations) + TRACKS * sizeof(Track);
     char *block = calloc(bytes, 1);
     if (!block)
         return NULL;
     char *place = (char *)(((uintptr_t)block + 63) / 64 * 64);
     scratch->fine = take(&place, TILE * 4 * scratch->fine_stride);
-    scratch->half = take(&place, TILE * 4 * scratch->half_stride);
-    scratch->coarse = take(&place, 4 * vectors(plan->coarse.bins));
+    scratch->rough = take(&place, TILE * 4 * scratch->rough_stride);
     scratch->sensor = take(&place, 4 * vectors(plan->bins));
-    scratch->scores = take(&place, 4 * lags);
-    scratch->tried = take(&place, lags);
+    scratch->scores = take(&place, PARTY * 4 * scratch->lags);
+    scratch->tried = take(&place, PARTY * scratch->lags);
+    scratch->work = take(&place, work);
     scratch->equations = take(&place, sizeof(Equations));
     scratch->tracks = take(&place, TRACKS * sizeof(Track));
     return block;
 }
 
-enum { LIGHT, OFFSETS, INTEGERS, REALS, SIZES, F_WIDTHS, F_PLACES, F_OWNERS, F_DATA, H_WIDTHS,
-       H_PLACES, H_OWNERS, H_DATA, C_SPANS, C_GAINS, C_COSTS, C_OWNERS, C_WIDTHS, C_SHARES,
+enum { LIGHT, OFFSETS, INTEGERS, REALS, SIZES, F_WIDTHS, F_PLACES, F_RUNS, F_DATA, F_PAIRS,
+       F_MEETS, F_MEETINGS, R_WIDTHS, R_PLACES, R_RUNS, R_DATA, R_PAIRS, R_MEETS, R_MEETINGS, C_SPANS, C_GAINS,
+       C_COSTS, C_PLACES, C_RUNS, C_WIDTHS, C_SHARES,
        DELAY, DEVIATION, OTHER, AMPLITUDES, AMPLITUDE_STD, BACKGROUND, STEPS, BUFFERS };
 
 static void make_plan(const Py_buffer *held, Plan *plan)
@@ -280,20 +299,24 @@ static void make_plan(const Py_buffer *held, Plan *plan)
     const float *x = held[REALS].buf;
     *plan = (Plan){
         .bands = n[0], .views = n[1], .factor = n[2], .bins = n[3], .sizes = held[SIZES].buf,
-        .fine = {.factor = 1, .bins = n[4], .blocks = n[5], .phases = n[6], .first_ns = x[0],
+        .fine = {.bins = n[4], .blocks = n[5], .phases = n[6], .first_ns = x[0],
                  .phase_ns = x[1], .widths = held[F_WIDTHS].buf, .places = held[F_PLACES].buf,
-                 .owners = held[F_OWNERS].buf, .data = held[F_DATA].buf},
-        .half = {.factor = n[7], .bins = n[8], .blocks = n[9], .phases = n[10], .first_ns = x[2],
-                 .phase_ns = x[3], .widths = held[H_WIDTHS].buf, .places = held[H_PLACES].buf,
-                 .owners = held[H_OWNERS].buf, .data = held[H_DATA].buf},
-        .coarse = {.factor = n[11], .bins = n[12], .lags = n[13], .separation = n[14],
+                 .runs = held[F_RUNS].buf, .data = held[F_DATA].buf,
+                 .pairs = (int)(held[F_PAIRS].len / 2), .pair_bands = held[F_PAIRS].buf,
+                 .meets = held[F_MEETS].buf, .meetings = held[F_MEETINGS].buf},
+        .rough = {.bins = n[7], .blocks = n[8], .phases = n[9], .first_ns = x[2],
+                 .phase_ns = x[3], .widths = held[R_WIDTHS].buf, .places = held[R_PLACES].buf,
+                 .runs = held[R_RUNS].buf, .data = held[R_DATA].buf,
+                 .pairs = (int)(held[R_PAIRS].len / 2), .pair_bands = held[R_PAIRS].buf,
+                 .meets = held[R_MEETS].buf, .meetings = held[R_MEETINGS].buf},
+        .coarse = {.factor = n[10], .bins = n[11], .lags = n[12], .separation = n[13],
                    .first_ns = x[4], .step_ns = x[5], .spans = held[C_SPANS].buf,
                    .gains = held[C_GAINS].buf, .costs = held[C_COSTS].buf,
-                   .owners = held[C_OWNERS].buf, .widths = held[C_WIDTHS].buf,
-                   .shares = held[C_SHARES].buf},
+                   .places = held[C_PLACES].buf, .runs = held[C_RUNS].buf,
+                   .widths = held[C_WIDTHS].buf, .shares = held[C_SHARES].buf},
         .rules = {.shares = {x[6], x[7], x[8]}, .logs = {x[9], x[10], x[11]},
-                  .steps = n[15], .nodes = n[16], .rounds = n[17], .halves = n[18],
-                  .settle = n[19], .posterior = n[20], .settled = x[12],
+                  .steps = n[14], .nodes = n[15], .rounds = n[16], .rough = n[17],
+                  .settle = n[18], .posterior = n[19], .settled = x[12],
                   .floor_photons = x[13], .floor_share = x[14], .ridge = x[15],
                   .margin = x[16], .ambiguous = x[17], .few = x[18], .spacing = x[19],
                   .spread_ns = x[20], .low_ns = x[21], .high_ns = x[22], .target_ns = x[23],
@@ -358,13 +381,41 @@ done:
     return answer;
 }
 
+/* processor(): 2 if it knows AVX-512 (x86-64-v4), 1 if AVX2 and fused products (v3), else 0. */
+static PyObject *py_processor(PyObject *self, PyObject *args)
+{
+    (void)self;
+    (void)args;
+    long able = 0;
+#if defined(__x86_64__) && defined(__GNUC__)
+    __builtin_cpu_init();
+    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")
+        && __builtin_cpu_supports("bmi2"))
+        able = 1;
+    if (able && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw")
+        && __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq")
+        && __builtin_cpu_supports("avx512vl"))
+        able = 2;
+#endif
+    return PyLong_FromLong(able);
+}
+
 static PyMethodDef methods[] = {
+    {"processor", py_processor, METH_NOARGS, "Which vector instructions there are: 0, 1 or 2."},
     {"fit", py_fit, METH_VARARGS, "Joint fit of pixels; see hueflight.reconstruction.kernels."},
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_kernels", "The joint fit in C.", -1, methods, NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT, TEXT(MODULE), "The joint fit in C.", -1, methods, NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__kernels(void) { return PyModule_Create(&module); }
+PyMODINIT_FUNC INIT(MODULE)(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    if (made && PyModule_AddIntConstant(made, "LANES", LANES)) {
+        Py_DECREF(made);
+        return NULL;
+    }
+    return made;
+}

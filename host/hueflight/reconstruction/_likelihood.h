@@ -1,38 +1,52 @@
 /* Likelihoods: of two delays of one pixel, and around a maximum where photons are few. */
 
-/* Means of a block's bins. */
-INLINE vec mean_of(const Level *level, const int32_t *places, int block, const float *amplitudes,
-                   float background)
+/* A pixel's bins that hold counts, packed one after another. */
+typedef struct {
+    int count;
+    int32_t *bins;
+    float *counts, *flat, *means; /* counted; expected of flat light; of parameters on trial */
+} Lit;
+
+/* `place` has room for four vectors a block. */
+INLINE Lit lit_bins(const Level *level, const float *counts, float total, float *place)
 {
-    vec mean = background * load(level->widths + block * LANES);
-    for (int i = places[block]; i < places[block + 1]; i++)
-        mean += amplitudes[level->owners[i]] * load(level->data + (size_t)i * 2 * LANES);
-    return greater(mean, fill(1e-20f));
+    size_t room = (size_t)level->blocks * LANES;
+    Lit lit = {0, (int32_t *)place, place + room, place + 2 * room, place + 3 * room};
+    for (int i = 0; i < level->bins; i++) {
+        lit.bins[lit.count] = i;
+        lit.counts[lit.count] = counts[i];
+        lit.count += counts[i] > 0;
+    }
+    for (int i = 0; i < lit.count; i++)
+        lit.flat[i] = total * level->widths[lit.bins[i]] + LEAST;
+    for (int i = lit.count; i % LANES; i++) {
+        lit.counts[i] = 0;
+        lit.means[i] = lit.flat[i] = 1;
+    }
+    return lit;
 }
 
-/* Log-likelihood of given parameters against that of flat light: differences of large numbers
+/* Log-likelihood of expected counts against that of flat light: differences of large numbers
  * would lose single precision's digits. */
-INLINE double log_likelihood(const Level *level, const float *counts, float total, int phase,
-                             const float *amplitudes, float background)
+INLINE double log_likelihood(const Level *level, const Lit *lit, float total, const vec *means)
 {
-    const int32_t *places = level->places + (size_t)phase * (size_t)(level->blocks + 1);
-    double whole = 0;
-    for (int block = 0; block < level->blocks; block++) {
-        vec mean = mean_of(level, places, block, amplitudes, background);
-        vec flat = greater(total * load(level->widths + block * LANES), fill(1e-20f));
-        vec h = load(counts + block * LANES);
-        whole += (double)sum(h * logarithm(mean / flat) - (mean - flat));
-    }
-    return whole;
+    vec excess = {0}, gain = {0};
+    for (int v = 0; v < level->blocks; v++)
+        excess += means[v] - total * load(level->widths + v * LANES);
+    for (int i = 0; i < lit->count; i++)
+        lit->means[i] = ((const float *)means)[lit->bins[i]];
+    for (int i = 0; i < lit->count; i += LANES)
+        gain += load(lit->counts + i) * logarithm(load(lit->means + i) / load(lit->flat + i));
+    return (double)sum(gain) - (double)sum(excess);
 }
 
 /* Greatest log-likelihood at a track's delay with no amplitude below 0. */
 INLINE double best_likelihood(const Plan *plan, const float *counts, float total,
-                              const Track *track)
+                              const Track *track, vec *work)
 {
     const Level *level = &plan->fine;
     int phase = phase_of(level, track->delay);
-    const int32_t *places = level->places + (size_t)phase * (size_t)(level->blocks + 1);
+    vec *means = work, *seen = work + level->blocks;
     float amplitudes[MOST_BANDS], least = 0.002f * total;
     float background = track->background, dark = floor_of(&plan->rules, total);
     background = background > dark ? background : dark;
@@ -42,16 +56,19 @@ INLINE double best_likelihood(const Plan *plan, const float *counts, float total
         vec gained[MOST_BANDS], whole[MOST_BANDS], dark_gained = {0}, dark_whole = {0};
         memset(gained, 0, sizeof gained[0] * (size_t)plan->bands);
         memset(whole, 0, sizeof whole[0] * (size_t)plan->bands);
-        for (int block = 0; block < level->blocks; block++) {
-            vec ratio = load(counts + block * LANES)
-                      / mean_of(level, places, block, amplitudes, background);
-            vec width = load(level->widths + block * LANES);
-            dark_gained += ratio * width;
+        expect(level, phase, amplitudes, background, means, NULL);
+        for (int v = 0; v < level->blocks; v++) {
+            vec width = load(level->widths + v * LANES);
+            seen[v] = load(counts + v * LANES) / means[v];
+            dark_gained += seen[v] * width;
             dark_whole += width;
-            for (int i = places[block]; i < places[block + 1]; i++) {
-                vec shape = load(level->data + (size_t)i * 2 * LANES);
-                gained[level->owners[i]] += ratio * shape;
-                whole[level->owners[i]] += shape;
+        }
+        for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+            Run run = level->runs[i];
+            const float *shares = level->data + (size_t)run.place * LANES;
+            for (int v = 0; v < run.count; v++) {
+                gained[run.band] += seen[run.block + v] * load(shares + v * LANES);
+                whole[run.band] += load(shares + v * LANES);
             }
         }
         background *= sum(dark_gained) / sum(dark_whole);
@@ -60,12 +77,14 @@ INLINE double best_likelihood(const Plan *plan, const float *counts, float total
             amplitudes[k] *= sum(gained[k]) / (all > 1e-12f ? all : 1e-12f);
         }
     }
-    return log_likelihood(level, counts, total, phase, amplitudes, background);
+    expect(level, phase, amplitudes, background, means, NULL);
+    Lit lit = lit_bins(level, counts, total, (float *)seen);
+    return log_likelihood(level, &lit, total, means);
 }
 
 /* Mean and variance of the delay under the likelihood around its maximum. */
 INLINE void posterior(const Plan *plan, const float *counts, float total, const Track *track,
-                      float *delay, float *variance)
+                      vec *work, float *delay, float *variance)
 {
     enum { MOST_NODES = 32 };
     const Level *level = &plan->fine;
@@ -75,6 +94,7 @@ INLINE void posterior(const Plan *plan, const float *counts, float total, const 
     stride = stride < 1 ? 1 : stride;
     float middle = rintf((track->delay - level->first_ns) / level->phase_ns);
     float least = floor_of(rules, total);
+    Lit lit = lit_bins(level, counts, total, (float *)(work + level->blocks));
     for (int node = 0; node < rules->nodes; node++) {
         float place = middle + (float)(node - rules->nodes / 2) * stride;
         delays[node] = (double)level->first_ns + (double)place * (double)level->phase_ns;
@@ -88,7 +108,8 @@ INLINE void posterior(const Plan *plan, const float *counts, float total, const 
         }
         float background = track->background + shift * track->follow[plan->bands];
         background = background > least ? background : least;
-        logs[node] = log_likelihood(level, counts, total, (int)place, amplitudes, background);
+        expect(level, (int)place, amplitudes, background, work, NULL);
+        logs[node] = log_likelihood(level, &lit, total, work);
         most = logs[node] > most ? logs[node] : most;
     }
     double weight = 0, mean = 0, spread = 0;

@@ -1,5 +1,5 @@
-/* Fisher scoring of sixteen tracks at once: sums over bins one track at a time, sixteen bins a
- * vector; then the normal equations of all sixteen, one track a lane. */
+/* Fisher scoring of as many tracks as a vector has lanes: sums over bins one track at a time, a
+ * vector of bins at once; then the normal equations of all tracks, one a lane. */
 
 typedef struct {
     vec normal[MOST_SIZE * (MOST_SIZE + 1) / 2]; /* lower triangle, rows one after another */
@@ -20,79 +20,121 @@ INLINE float floor_of(const Rules *rules, float total)
     return rules->floor_photons + rules->floor_share * total;
 }
 
-/* Sums of one track over all bins, into its lane of the equations. */
-INLINE void accumulate(const Level *level, const Rules *rules, const float *counts, float total,
-                       const Track *track, int bands, int phase, Equations *into, int lane)
+/* Expected counts of all blocks, and with `slopes` their derivative by the delay. */
+INLINE void expect(const Level *level, int phase, const float *amplitudes, float background,
+                   vec *means, vec *slopes)
 {
-    vec own[MOST_BANDS][4], pairs[MOST_BANDS * (MOST_BANDS - 1) / 2 + 1];
-    uint8_t met[MOST_BANDS * (MOST_BANDS - 1) / 2 + 1];
+    for (int v = 0; v < level->blocks; v++) {
+        means[v] = background * load(level->widths + v * LANES) + LEAST;
+        if (slopes)
+            slopes[v] = (vec){0};
+    }
+    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+        Run run = level->runs[i];
+        const float *shares = level->data + (size_t)run.place * LANES;
+        float a = amplitudes[run.band];
+        for (int v = 0; v < run.count; v++) {
+            means[run.block + v] += a * load(shares + v * LANES);
+            if (slopes)
+                slopes[run.block + v] += a * load(shares + (run.count + v) * LANES);
+        }
+    }
+}
+
+/* What is summed over bins: for all bands together, for each one. */
+enum { TT, TB, BB, RT, RB, CUBIC, COMMON };
+enum { SELF, WIDTH, SLOPE, COUNTS, SUMS };
+#define MOST_PAIRS (MOST_BANDS * (MOST_BANDS - 1) / 2)
+
+/* Sums of one track over all bins, into its lane of the equations. `work` has room for five
+ * vectors a block. */
+INLINE void accumulate(const Level *level, const Rules *rules, const float *counts, float total,
+                       const Track *track, int bands, int phase, vec *work, Equations *into,
+                       int lane)
+{
     float amplitudes[MOST_BANDS];
-    int pair_count = bands * (bands - 1) / 2;
-    memset(met, 0, (size_t)pair_count + 1);
-    memset(own, 0, sizeof own[0] * (size_t)bands);
     for (int k = 0; k < bands; k++)
         amplitudes[k] = track->amplitudes[k] > 0 ? track->amplitudes[k] : 0;
     float least = floor_of(rules, total);
     float background = track->background > least ? track->background : least;
+    vec *weights = work, *along = work + level->blocks, *seen = along + level->blocks;
+    vec *flat = seen + level->blocks;
+    expect(level, phase, amplitudes, background, weights, along);
     vec tt = {0}, tb = {0}, bb = {0}, rt = {0}, rb = {0}, cubic = {0};
-    const int32_t *places = level->places + (size_t)phase * (size_t)(level->blocks + 1);
-    for (int block = 0; block < level->blocks; block++) {
-        int first = places[block], last = places[block + 1];
-        const float *data = level->data + (size_t)first * 2 * LANES;
-        vec h = load(counts + block * LANES), width = load(level->widths + block * LANES);
-        vec mean = background * width, slope = {0};
-        for (int i = first; i < last; i++, data += 2 * LANES) {
-            float a = amplitudes[level->owners[i]];
-            mean += a * load(data);
-            slope += a * load(data + LANES);
-        }
-        vec weight = 1.0f / greater(mean, fill(1e-20f));
-        vec along = weight * slope, share = weight * width;
-        tt += along * slope;
-        tb += along * width;
-        bb += share * width;
-        rt += along * h;
-        rb += share * h;
-        cubic += along * along * slope;
-        data = level->data + (size_t)first * 2 * LANES;
-        for (int i = first; i < last; i++) {
-            int band = level->owners[i];
-            vec shape = load(data + (size_t)(i - first) * 2 * LANES), part = weight * shape;
-            own[band][0] += part * shape;
-            own[band][1] += part * width;
-            own[band][2] += part * slope;
-            own[band][3] += part * h;
-            for (int j = first; j < i; j++) { /* bands of a block rise */
-                int pair = band * (band - 1) / 2 + level->owners[j];
-                vec other = part * load(data + (size_t)(j - first) * 2 * LANES);
-                if (met[pair])
-                    pairs[pair] += other;
-                else
-                    pairs[pair] = other;
-                met[pair] = 1;
-            }
-        }
+    for (int v = 0; v < level->blocks; v++) {
+        vec h = load(counts + v * LANES), width = load(level->widths + v * LANES);
+        vec weight = 1.0f / weights[v], slope = along[v], steep = weight * slope;
+        weights[v] = weight;
+        along[v] = steep;
+        seen[v] = weight * h;
+        flat[v] = weight * width;
+        tt += steep * slope;
+        tb += steep * width;
+        bb += flat[v] * width;
+        rt += steep * h;
+        rb += flat[v] * h;
+        cubic += steep * steep * slope;
     }
+    vec all[COMMON + MOST_BANDS * SUMS + MOST_PAIRS + LANES];
+    vec *own = all + COMMON, *pairs = own + bands * SUMS;
+    int used = COMMON + bands * SUMS + level->pairs;
+    memset(own, 0, sizeof *own * (size_t)(used - COMMON + LANES));
+    all[TT] = tt;
+    all[TB] = tb;
+    all[BB] = bb;
+    all[RT] = rt;
+    all[RB] = rb;
+    all[CUBIC] = cubic;
+    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+        Run run = level->runs[i];
+        const float *shares = level->data + (size_t)run.place * LANES;
+        vec self = {0}, width = {0}, slope = {0}, count = {0};
+        for (int v = 0; v < run.count; v++) {
+            vec shape = load(shares + v * LANES);
+            self += shape * weights[run.block + v] * shape;
+            width += shape * flat[run.block + v];
+            slope += shape * along[run.block + v];
+            count += shape * seen[run.block + v];
+        }
+        vec *mine = own + run.band * SUMS;
+        mine[SELF] += self;
+        mine[WIDTH] += width;
+        mine[SLOPE] += slope;
+        mine[COUNTS] += count;
+    }
+    for (int i = level->meets[phase]; i < level->meets[phase + 1]; i++) {
+        Meeting meeting = level->meetings[i];
+        const float *one = level->data + (size_t)meeting.one * LANES;
+        const float *other = level->data + (size_t)meeting.other * LANES;
+        vec both = {0};
+        for (int v = 0; v < meeting.count; v++)
+            both += load(one + v * LANES) * weights[meeting.block + v] * load(other + v * LANES);
+        pairs[meeting.pair] += both;
+    }
+    float made[(COMMON + MOST_BANDS * SUMS + MOST_PAIRS) / LANES * LANES + LANES];
+    for (int i = 0; i < used; i += LANES)
+        store(made + i, sums(all + i));
     int b = bands, t = bands + 1;
-    for (int k = 0; k < bands; k++) {
-        into->normal[AT(k, k)][lane] = sum(own[k][0]);
-        into->normal[AT(b, k)][lane] = sum(own[k][1]);
-        into->normal[AT(t, k)][lane] = sum(own[k][2]);
-        into->right[k][lane] = sum(own[k][3]);
-        for (int j = 0; j < k; j++) {
-            int pair = k * (k - 1) / 2 + j;
-            into->normal[AT(k, j)][lane] = met[pair] ? sum(pairs[pair]) : 0.0f;
-        }
+    const float *band_sums = made + COMMON, *pair_sums = band_sums + bands * SUMS;
+    for (int k = 0; k < bands; k++, band_sums += SUMS) {
+        for (int j = 0; j < k; j++)
+            into->normal[AT(k, j)][lane] = 0;
+        into->normal[AT(k, k)][lane] = band_sums[SELF];
+        into->normal[AT(b, k)][lane] = band_sums[WIDTH];
+        into->normal[AT(t, k)][lane] = band_sums[SLOPE];
+        into->right[k][lane] = band_sums[COUNTS];
     }
-    into->normal[AT(b, b)][lane] = sum(bb);
-    into->normal[AT(t, b)][lane] = sum(tb);
-    into->normal[AT(t, t)][lane] = sum(tt);
-    into->right[b][lane] = sum(rb);
-    into->right[t][lane] = sum(rt);
-    into->cubic[lane] = sum(cubic);
+    for (int i = 0; i < level->pairs; i++)
+        into->normal[AT(level->pair_bands[2 * i], level->pair_bands[2 * i + 1])][lane] = pair_sums[i];
+    into->normal[AT(b, b)][lane] = made[BB];
+    into->normal[AT(t, b)][lane] = made[TB];
+    into->normal[AT(t, t)][lane] = made[TT];
+    into->right[b][lane] = made[RB];
+    into->right[t][lane] = made[RT];
+    into->cubic[lane] = made[CUBIC];
 }
 
-/* Solve sixteen systems by Cholesky's method. The inverse's lower factor replaces the normal
+/* Solve the systems of all lanes by Cholesky's method. The inverse's lower factor replaces the normal
  * matrix and the solution the right side, both in the parameters' own scale. */
 INLINE void solve(Equations *e, int size, float ridge)
 {
@@ -143,10 +185,10 @@ INLINE void solve(Equations *e, int size, float ridge)
             e->normal[AT(i, j)] *= scale[j];
 }
 
-/* One step of scoring for up to sixteen tracks. `moved` gets each one's change of delay. */
+/* One step of scoring for as many tracks as there are lanes, or fewer. `moved` gets each one's change of delay. */
 INLINE void step(const Plan *plan, const Level *level, const float *counts, size_t stride,
                  const float *totals, const float *offsets, Track *const *tracks, int count,
-                 Equations *e, float *moved)
+                 vec *work, Equations *e, float *moved)
 {
     const Rules *rules = &plan->rules;
     int bands = plan->bands, size = bands + 2, t = bands + 1;
@@ -164,13 +206,19 @@ INLINE void step(const Plan *plan, const Level *level, const float *counts, size
         int phase = phase_of(level, track->delay);
         here[lane] = level->first_ns + (float)phase * level->phase_ns;
         accumulate(level, rules, counts + (size_t)track->pixel * stride, totals[track->pixel],
-                   track, bands, phase, e, lane);
+                   track, bands, phase, work, e, lane);
         float most = 2 * totals[track->pixel] + 10, known = 1 / (most * most);
         for (int k = 0; k <= bands; k++)
             e->normal[AT(k, k)][lane] += known;
         e->normal[AT(t, t)][lane] += widest;
     }
     solve(e, size, rules->ridge);
+    vec spread[MOST_BANDS];
+    for (int k = 0; k < bands; k++) {
+        spread[k] = (vec){0};
+        for (int i = k; i < size; i++)
+            spread[k] += e->normal[AT(i, k)] * e->normal[AT(i, k)];
+    }
     for (int lane = 0; lane < count; lane++) {
         Track *track = tracks[lane];
         float move = e->right[t][lane], limit = rules->spread_ns;
@@ -189,10 +237,7 @@ INLINE void step(const Plan *plan, const Level *level, const float *counts, size
             track->follow[k] = e->normal[AT(t, k)][lane] / tip;
         for (int k = 0; k < bands; k++) {
             track->amplitudes[k] = e->right[k][lane];
-            float variance = 0;
-            for (int i = k; i < size; i++)
-                variance += e->normal[AT(i, k)][lane] * e->normal[AT(i, k)][lane];
-            track->spread[k] = variance;
+            track->spread[k] = spread[k][lane];
         }
     }
 }

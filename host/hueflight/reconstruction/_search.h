@@ -1,56 +1,60 @@
-/* The first search: the likelihood of all lags, sixteen lags a vector. */
+/* The first search: the likelihood of all lags, a vector of lags at once. */
 
-/* Log-likelihood of every lag, and which share of background it had; scores outside the pixel's
- * range are −∞. `scores` and `tried` have room for whole vectors of lags. */
-INLINE void search(const Plan *plan, const float *counts, float total, float offset, float *scores,
-                   int8_t *tried)
+/* Log-likelihood of every lag of PARTY pixels, and which share of background each had; scores
+ * outside a pixel's range are −∞. The tables are larger than the nearest cache: what is read of
+ * them serves all pixels. */
+INLINE void search(const Plan *plan, const float *counts, size_t stride, const float *totals,
+                   const float *offsets, float *scores, int8_t *tried, size_t room)
 {
     const Coarse *coarse = &plan->coarse;
     const Rules *rules = &plan->rules;
     int blocks = (coarse->lags + LANES - 1) / LANES;
     for (int block = 0; block < blocks; block++) {
-        vec parts[MOST_BANDS][RATIOS];
+        vec parts[PARTY][MOST_BANDS][RATIOS];
         const int32_t *span = coarse->spans + (size_t)block * (size_t)plan->bands * 3;
         for (int k = 0; k < plan->bands; k++, span += 3) {
-            vec a = {0}, b = {0}, c = {0};
+            vec some[PARTY][RATIOS] = {{{0}}};
             const float *gains = coarse->gains + (size_t)span[2];
-            for (int j = span[0]; j < span[1]; j++, gains += RATIOS * LANES) {
-                float h = counts[j];
-                a += h * load(gains);
-                b += h * load(gains + LANES);
-                c += h * load(gains + 2 * LANES);
-            }
-            parts[k][0] = a;
-            parts[k][1] = b;
-            parts[k][2] = c;
+            for (int j = span[0]; j < span[1]; j++, gains += RATIOS * LANES)
+                for (int p = 0; p < PARTY; p++) {
+                    float h = counts[(size_t)p * stride + (size_t)j];
+                    for (int r = 0; r < RATIOS; r++)
+                        some[p][r] += h * load(gains + r * LANES);
+                }
+            for (int p = 0; p < PARTY; p++)
+                for (int r = 0; r < RATIOS; r++)
+                    parts[p][k][r] = some[p][r];
         }
-        vec best = fill(-INFINITY);
-        ivec which = {0};
-        for (int s = 0; s < SHARES; s++) {
-            float background = rules->shares[s] * total;
-            vec score = fill(total * rules->logs[s] - background);
-            const float *cost = coarse->costs + (size_t)block * (size_t)plan->bands * RATIOS * LANES;
-            for (int k = 0; k < plan->bands; k++, cost += RATIOS * LANES) {
-                vec gained = greater(parts[k][0] - background * load(cost),
-                                     parts[k][1] - background * load(cost + LANES));
-                gained = greater(gained, parts[k][2] - background * load(cost + 2 * LANES));
-                score += greater(gained, (vec){0});
+        for (int p = 0; p < PARTY; p++) {
+            vec best = fill(-INFINITY);
+            ivec which = {0};
+            for (int s = 0; s < SHARES; s++) {
+                float background = rules->shares[s] * totals[p];
+                vec score = fill(totals[p] * rules->logs[s] - background);
+                const float *cost = coarse->costs + (size_t)block * (size_t)plan->bands * RATIOS * LANES;
+                for (int k = 0; k < plan->bands; k++, cost += RATIOS * LANES) {
+                    vec gained = {0};
+                    for (int r = 0; r < RATIOS; r++)
+                        gained = greater(gained, parts[p][k][r] - background * load(cost + r * LANES));
+                    score += gained;
+                }
+                ivec better = score > best;
+                best = choose(better, score, best);
+                which = (better & (s - (ivec){0})) | (~better & which);
             }
-            ivec better = score > best;
-            best = choose(better, score, best);
-            which = (better & (s - (ivec){0})) | (~better & which);
-        }
-        for (int lane = 0; lane < LANES; lane++) {
-            scores[block * LANES + lane] = best[lane];
-            tried[block * LANES + lane] = (int8_t)which[lane];
+            store(scores + (size_t)p * room + block * LANES, best);
+            for (int lane = 0; lane < LANES; lane++)
+                tried[(size_t)p * room + (size_t)(block * LANES + lane)] = (int8_t)which[lane];
         }
     }
     float margin = coarse->lags > 1 ? coarse->step_ns / 2 : INFINITY;
-    float low = offset + rules->low_ns - margin, high = offset + rules->high_ns + margin;
-    for (int lag = 0; lag < coarse->lags; lag++) {
-        float at = coarse->first_ns + (float)lag * coarse->step_ns;
-        if (at < low || at > high)
-            scores[lag] = -INFINITY;
+    for (int p = 0; p < PARTY; p++) {
+        float low = offsets[p] + rules->low_ns - margin, high = offsets[p] + rules->high_ns + margin;
+        for (int lag = 0; lag < coarse->lags; lag++) {
+            float at = coarse->first_ns + (float)lag * coarse->step_ns;
+            if (at < low || at > high)
+                scores[(size_t)p * room + (size_t)lag] = -INFINITY;
+        }
     }
 }
 
@@ -88,10 +92,14 @@ INLINE void start(const Plan *plan, const float *counts, float total, const floa
     track->background = plan->rules.shares[tried[lag]] * total;
     track->steps = 0;
     track->live = 1;
-    float inside[MOST_BANDS + 1] = {0};
-    const int8_t *owners = coarse->owners + (size_t)lag * (size_t)coarse->bins;
-    for (int j = 0; j < coarse->bins; j++)
-        inside[owners[j] < 0 ? MOST_BANDS : owners[j]] += counts[j];
+    float inside[MOST_BANDS] = {0};
+    for (int run = coarse->places[lag]; run < coarse->places[lag + 1]; run++) {
+        const int16_t *bins = coarse->runs + (size_t)run * 3;
+        float here = 0;
+        for (int j = bins[1]; j < bins[2]; j++)
+            here += counts[j];
+        inside[bins[0]] += here;
+    }
     const float *widths = coarse->widths + (size_t)lag * (size_t)plan->bands;
     const float *shares = coarse->shares + (size_t)lag * (size_t)plan->bands;
     for (int k = 0; k < plan->bands; k++) {

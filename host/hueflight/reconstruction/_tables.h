@@ -4,26 +4,41 @@
 #define MOST_SIZE (MOST_BANDS + 2)
 #define TILE 64        /* pixels at once */
 #define TRACKS (2 * TILE)
+#define PARTY 4        /* pixels that search together */
 #define RATIOS 3
 #define SHARES 3
 
+/* Successive blocks of bins, a vector each, that one band lights. */
 typedef struct {
-    int factor;            /* finer bins that each bin sums */
+    int32_t band, block, count, place; /* place of its first vector in a level's data */
+} Run;
+
+/* Successive blocks that two bands light. */
+typedef struct {
+    int32_t pair, block, count, one, other; /* places of their shares */
+} Meeting;
+
+typedef struct {
     int bins, blocks, phases;
     float first_ns, phase_ns;
-    const float *widths;   /* blocks × 16 */
-    const int32_t *places; /* phases × (blocks + 1): first entry of each block */
-    const uint8_t *owners; /* band of each entry */
-    const float *data;     /* shares and slopes of each entry, 16 each */
+    const float *widths;   /* blocks × lanes */
+    const int32_t *places; /* phases + 1: first run of each phase */
+    const Run *runs;
+    const float *data;     /* of each run all shares, then all slopes */
+    int pairs;
+    const uint8_t *pair_bands; /* two bands of each pair that share a block, the greater first */
+    const int32_t *meets;      /* phases + 1: first meeting of each phase */
+    const Meeting *meetings;
 } Level;
 
 typedef struct {
     int factor, bins, lags, separation;
     float first_ns, step_ns;
     const int32_t *spans;  /* lag blocks × bands × 3: first bin, one past the last, place in gains */
-    const float *gains;    /* ratio × 16 lags for each bin of a span */
-    const float *costs;    /* lag blocks × bands × ratios × 16 */
-    const int8_t *owners;  /* lags × bins: band of each bin, or −1 */
+    const float *gains;    /* ratio × lags of a vector, for each bin of a span */
+    const float *costs;    /* lag blocks × bands × ratios × lags of a vector */
+    const int32_t *places; /* lags + 1: first run of each lag */
+    const int16_t *runs;   /* band, first bin, one past the last */
     const float *widths, *shares; /* lags × bands */
 } Coarse;
 
@@ -32,14 +47,14 @@ typedef struct {
     int steps, nodes, rounds;
     float settled, floor_photons, floor_share, ridge, margin, ambiguous, few, spacing;
     float spread_ns, low_ns, high_ns, target_ns, raster;
-    int halves, settle, posterior;
+    int rough, settle, posterior;
 } Rules;
 
 typedef struct {
     int bands, views;
     const int32_t *sizes;  /* sensor's bins of each view */
     int factor, bins;      /* sensor's bins in a fine one; of all views */
-    Level fine, half;
+    Level fine, rough;
     Coarse coarse;
     Rules rules;
 } Plan;

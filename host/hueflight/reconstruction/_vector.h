@@ -1,16 +1,19 @@
-/* Sixteen floats at a time, in the compiler's own vector types: one AVX-512 register, two of AVX,
- * four of SSE. Everything is inlined into functions that are compiled once for each of these. */
+/* LANES floats at a time, in the compiler's vector types. setup.py says how many: sixteen for
+ * AVX-512, eight for AVX2, else four. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
+#ifndef LANES
 #define LANES 16
+#endif
+#define LEAST 1e-30f /* added to expected counts, so that padding divides by something */
 #define INLINE static inline __attribute__((always_inline))
 
-typedef float vec __attribute__((vector_size(64)));
-typedef float loose __attribute__((vector_size(64), aligned(4)));  /* wherever it lies */
-typedef int32_t ivec __attribute__((vector_size(64)));
+typedef float vec __attribute__((vector_size(4 * LANES)));
+typedef float loose __attribute__((vector_size(4 * LANES), aligned(4))); /* wherever it lies */
+typedef int32_t ivec __attribute__((vector_size(4 * LANES)));
 
 INLINE vec load(const float *from) { return *(const loose *)from; }
 INLINE void store(float *to, vec x) { *(loose *)to = x; }
@@ -19,29 +22,46 @@ INLINE vec choose(ivec mask, vec yes, vec no)
 {
     return (vec)((mask & (ivec)yes) | (~mask & (ivec)no));
 }
-INLINE vec greater(vec a, vec b) { return choose(a > b, a, b); }
 
-INLINE float sum(vec x)
-{
-    typedef float half __attribute__((vector_size(32)));
-    typedef float quarter __attribute__((vector_size(16)));
-    half low, high;
-    memcpy(&low, &x, 32);
-    memcpy(&high, (const char *)&x + 32, 32);
-    low += high;
-    quarter a, b;
-    memcpy(&a, &low, 16);
-    memcpy(&b, (const char *)&low + 16, 16);
-    a += b;
-    return (a[0] + a[1]) + (a[2] + a[3]);
-}
+INLINE vec greater(vec a, vec b) { return choose(a > b, a, b); }
 
 INLINE vec root(vec x)
 {
-    vec y = {0};
+    float y[LANES]; /* in memory: compilers see the loop, but not through a vector's elements */
+    store(y, x);
     for (int lane = 0; lane < LANES; lane++)
-        y[lane] = sqrtf(x[lane]);
-    return y;
+        y[lane] = sqrtf(y[lane]);
+    return load(y);
+}
+
+INLINE ivec lane_numbers(void)
+{
+    ivec n = {0};
+    for (int lane = 0; lane < LANES; lane++)
+        n[lane] = lane;
+    return n;
+}
+
+INLINE vec swap(vec x, int distance) { return __builtin_shuffle(x, lane_numbers() ^ distance); }
+
+INLINE float sum(vec x)
+{
+    for (int distance = LANES / 2; distance; distance /= 2)
+        x += swap(x, distance);
+    return x[0];
+}
+
+/* Sums of as many vectors as there are lanes, one in each lane; the vectors are used up. */
+INLINE vec sums(vec *x)
+{
+    for (int distance = 1; distance < LANES; distance *= 2) {
+        ivec odd = (lane_numbers() & distance) != 0;
+        for (int i = 0; i < LANES; i += 2 * distance) {
+            vec a = x[i], b = x[i + distance];
+            x[i] = choose(odd, b, a) + swap(choose(odd, a, b), distance);
+        }
+    }
+    return x[0];
 }
 
 /* Natural logarithm of normal positive numbers, to 2 units in the last place: the mantissa within

@@ -4,7 +4,7 @@ Maximum likelihood for Poisson counts, in four steps:
 
 1. *Search*: the likelihood over whole lags, each band free to be dark or bright.
 2. *Scoring*: Fisher's method of scoring (weighted least squares with the model's own variances,
-   Osborne, Int. Stat. Rev. 60, 1992), first at twice the bin width, then at the full one, until
+   Osborne, Int. Stat. Rev. 60, 1992), first at the bins of the search, then at the full width, until
    the delay moves no more than a fraction of its standard deviation.
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
 4. *Posterior*: where photons are few the likelihood is not a parabola; the delay and its
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hueflight.reconstruction.plan import BACKGROUND_SHARES, Coarse, Level, Plan
 
 MOST_STEPS = 6  #: of scoring at the full bin width
-SETTLED = 0.25  #: a delay that moves by less than this share of its deviation has settled
+SETTLED = 0.5  #: a delay that moves by less than this share of its deviation has settled
 FLOOR_PHOTONS = 0.5  #: background below this is taken for it in the weights,
 FLOOR_SHARE = 0.003  #: or below this share of all counts
 RIDGE = 1e-6  #: on the unit diagonal of the normal equations
@@ -44,13 +44,13 @@ class Switches:
 
     Attributes
     ----------
-    halves : scoring begins at twice the bin width.
+    rough : scoring begins at the bins of the search.
     settle : scoring ends when a delay has settled (else all steps are taken).
     posterior : few photons get the posterior stage (else the correction only).
-    target_ns : scoring ends after the half bins where the deviation is below this already.
+    target_ns : scoring ends after the rough bins where the deviation is below this already.
     """
 
-    halves: bool = True
+    rough: bool = True
     settle: bool = True
     posterior: bool = True
     target_ns: float = 0.0
@@ -258,9 +258,9 @@ def _scored(
     widest = 1 / (high - low) ** 2 * 12  # of a delay that may be anywhere
     steps = np.zeros(len(counts), np.uint8)
     active = np.arange(len(counts))
-    if switches.halves and plan.half is not plan.fine:
-        halved = plan.half.summed(counts)
-        state = _step(halved, total, state, plan.half, low, high, widest, plan.spread_ns)
+    if switches.rough and plan.rough is not plan.fine:
+        grouped = plan.rough.summed(counts)
+        state = _step(grouped, total, state, plan.rough, low, high, widest, plan.spread_ns)
         deviation = np.sqrt(state.covariance[:, -1, -1])
         active = np.flatnonzero(deviation > switches.target_ns)
     for _ in range(MOST_STEPS):

@@ -7,10 +7,11 @@ The compiled kernel is taken where it was built and has room for the plan's band
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
 from importlib import import_module
-from typing import Any, cast
+from typing import Any, Protocol, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -24,16 +25,29 @@ from hueflight.reconstruction.plan import Plan
 
 TILE_PIXELS = 2048  #: pixels that one thread takes at a time
 
-_Kernel = Callable[..., None]
+#: the same kernel for AVX-512, for AVX2, and for any processor, the best first
+BUILDS = ("_kernels_v4", "_kernels_v3", "_kernels")
+
 _packed: WeakKeyDictionary[Plan, PackedPlan] = WeakKeyDictionary()
 
 
+class _Kernel(Protocol):
+    LANES: int
+
+    def fit(self, *buffers: Any) -> None: ...
+
+
+@cache
 def compiled_kernel() -> _Kernel | None:
-    """The compiled fit, or None where there is none."""
+    """The best compiled fit that this processor can run, or None where there is none."""
     try:
-        return cast(_Kernel, import_module("hueflight.reconstruction._kernels").fit)
+        able: int = import_module("hueflight.reconstruction._kernels").processor()
     except ImportError:
         return None
+    for name in BUILDS[2 - able :]:
+        with suppress(ImportError):  # its compiler may not have known that processor
+            return cast(_Kernel, import_module(f"hueflight.reconstruction.{name}"))
+    return None
 
 
 def chosen_backend(bands: int) -> str:
@@ -106,7 +120,7 @@ def _fit_compiled(
     kernel = compiled_kernel()
     assert kernel is not None  # chosen_backend has seen to it
     if plan not in _packed:
-        _packed[plan] = pack(plan)
+        _packed[plan] = pack(plan, kernel.LANES)
     packed = _packed[plan]
     integers, reals = rules(plan, packed, switches)
     sizes = np.array([view.bins.count for view in plan.views], np.int32)
@@ -115,15 +129,23 @@ def _fit_compiled(
     amplitudes, amplitude_std = (np.empty((pixels, bands), np.float32) for _ in range(2))
     steps = np.empty(pixels, np.uint8)
     delay, deviation, other, background = planes
-    fine, half, coarse = packed.fine, packed.half, packed.coarse
-    kernel(
+    fine, rough, coarse = packed.fine, packed.rough, packed.coarse
+    kernel.fit(
         light,
         offsets_ns.astype(np.float32),
         *(integers, reals, sizes),
-        *(fine.widths, fine.places, fine.owners, fine.data),
-        *(half.widths, half.places, half.owners, half.data),
+        *(fine.widths, fine.places, fine.runs, fine.data, fine.pairs, fine.meets, fine.meetings),
+        *(
+            rough.widths,
+            rough.places,
+            rough.runs,
+            rough.data,
+            rough.pairs,
+            rough.meets,
+            rough.meetings,
+        ),
         *(coarse.spans, coarse.gains, coarse.costs),
-        *(coarse.owners, coarse.widths, coarse.shares),
+        *(coarse.places, coarse.runs, coarse.widths, coarse.shares),
         *(delay, deviation, other, amplitudes, amplitude_std, background, steps),
     )
     wide = [

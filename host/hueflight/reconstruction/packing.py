@@ -1,4 +1,4 @@
-"""A plan's tables as the compiled kernel reads them: flat arrays, sixteen bins or lags a vector."""
+"""A plan's tables as the compiled kernel reads them: flat arrays, in vectors of bins or of lags."""
 
 from __future__ import annotations
 
@@ -10,50 +10,56 @@ from numpy.typing import NDArray
 from hueflight.reconstruction import fit
 from hueflight.reconstruction.plan import BACKGROUND_SHARES, Coarse, Level, Plan
 
-LANES = 16
 MOST_BANDS = 30  #: that the kernel has room for
 
 
 @dataclass(frozen=True, eq=False)
 class PackedLevel:
-    """Tables of one bin width; of each block of sixteen bins only the bands that light it.
+    """Tables of one bin width, in blocks of as many bins as a vector has lanes.
 
     Attributes
     ----------
-    widths : (block · 16,).
-    places : (phase · (block + 1),) first entry of each block.
-    owners : (entry,) band of each entry, rising within a block.
-    data : (entry, 2, 16) shares and slopes.
+    blocks : of bins.
+    widths : (block · lane,).
+    places : (phase + 1,) first run of each phase.
+    runs : (run, 4) successive blocks that one band lights: band, first block, blocks, place in
+        `data`; bands rise.
+    data : (place, lane) of each run all shares, then all slopes.
+    pairs : (pair, 2) bands that share a block at some delay, the greater first.
+    meets : (phase + 1,) first meeting of each phase.
+    meetings : (meeting, 5) successive blocks that two bands light: pair, first block, blocks,
+        places of their shares.
     """
 
+    blocks: int
     widths: NDArray[np.float32]
     places: NDArray[np.int32]
-    owners: NDArray[np.uint8]
+    runs: NDArray[np.int32]
     data: NDArray[np.float32]
-
-    @property
-    def blocks(self) -> int:
-        """Blocks of sixteen bins."""
-        return self.widths.size // LANES
+    pairs: NDArray[np.uint8]
+    meets: NDArray[np.int32]
+    meetings: NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
 class PackedCoarse:
-    """Tables of the first search; of each block of sixteen lags only the bins that matter.
+    """Tables of the first search; of each vector of lags only the bins that matter.
 
     Attributes
     ----------
-    spans : (lag block, band, 3) first bin, one past the last, place in `gains`.
-    gains : for each bin of a span (ratio, 16 lags).
-    costs : (lag block, band, ratio, 16).
-    owners : (lag, bin) band whose zone it is, or −1.
+    spans : (vector, band, 3) first bin, one past the last, place in `gains`.
+    gains : for each bin of a span (ratio, lane).
+    costs : (vector, band, ratio, lane).
+    places : (lag + 1,) first run of each lag.
+    runs : (run, 3) a band's zone: band, first bin, one past the last.
     widths, shares : (lag, band).
     """
 
     spans: NDArray[np.int32]
     gains: NDArray[np.float32]
     costs: NDArray[np.float32]
-    owners: NDArray[np.int8]
+    places: NDArray[np.int32]
+    runs: NDArray[np.int16]
     widths: NDArray[np.float32]
     shares: NDArray[np.float32]
 
@@ -63,36 +69,36 @@ class PackedPlan:
     """All that the kernel is given of a plan, but for the rules that may be switched."""
 
     fine: PackedLevel
-    half: PackedLevel
+    rough: PackedLevel
     coarse: PackedCoarse
 
 
-def pack(plan: Plan) -> PackedPlan:
-    """Tables of a plan for the kernel."""
-    fine = _level(plan.fine)
-    half = fine if plan.half is plan.fine else _level(plan.half)
-    return PackedPlan(fine=fine, half=half, coarse=_coarse(plan.coarse))
+def pack(plan: Plan, lanes: int) -> PackedPlan:
+    """Tables of a plan for a kernel with vectors of so many lanes."""
+    fine = _level(plan.fine, lanes)
+    rough = fine if plan.rough is plan.fine else _level(plan.rough, lanes)
+    return PackedPlan(fine=fine, rough=rough, coarse=_coarse(plan.coarse, lanes))
 
 
 def rules(
     plan: Plan, packed: PackedPlan, switches: fit.Switches
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Sizes and constants in the order in which the kernel reads them."""
-    fine, half, coarse = plan.fine, plan.half, plan.coarse
+    fine, rough, coarse = plan.fine, plan.rough, plan.coarse
     integers = [
         plan.bands,
         len(plan.views),
         plan.fine_factor,
         sum(view.bins.count for view in plan.views),
         *(fine.widths.size, packed.fine.blocks, len(fine.shares)),
-        *(plan.half_factor, half.widths.size, packed.half.blocks, len(half.shares)),
+        *(rough.widths.size, packed.rough.blocks, len(rough.shares)),
         *(plan.coarse_factor, coarse.widths.size, coarse.lags_ns.size, coarse.separation),
         *(fit.MOST_STEPS, fit.NODES, fit.LIKELIHOOD_ROUNDS),
-        *(switches.halves and half is not fine, switches.settle, switches.posterior),
+        *(switches.rough and rough is not fine, switches.settle, switches.posterior),
     ]
     lag_ns = coarse.lags_ns[1] - coarse.lags_ns[0] if coarse.lags_ns.size > 1 else 1.0
     reals = [
-        *(fine.first_ns, fine.phase_ns, half.first_ns, half.phase_ns),
+        *(fine.first_ns, fine.phase_ns, rough.first_ns, rough.phase_ns),
         *(coarse.lags_ns[0], lag_ns),
         *BACKGROUND_SHARES,
         *np.log(BACKGROUND_SHARES),
@@ -103,36 +109,64 @@ def rules(
     return np.array(integers, np.int32), np.array(reals, np.float32)
 
 
-def _level(level: Level) -> PackedLevel:
+def _level(level: Level, lanes: int) -> PackedLevel:
     phases, bands, bins = level.shares.shape
-    blocks = -(-bins // LANES)
-    room = blocks * LANES - bins
+    blocks = -(-bins // lanes)
+    room = blocks * lanes - bins
     widths = np.pad(level.widths, (0, room))
 
     def blocked(table: NDArray[np.float32]) -> NDArray[np.float32]:
         padded = np.pad(table, ((0, 0), (0, 0), (0, room)))
-        return padded.reshape(phases, bands, blocks, LANES).transpose(0, 2, 1, 3)
+        return padded.reshape(phases, bands, blocks, lanes)
 
     shares, slopes = blocked(level.shares), blocked(level.slopes)
-    lit = shares.any(axis=-1) | slopes.any(axis=-1)  # phase, block, band
-    counts = lit.sum(axis=-1)
-    ends = np.cumsum(counts.ravel()).reshape(phases, blocks)
-    places = np.empty((phases, blocks + 1), np.int32)
-    places[:, 1:] = ends
-    places[:, 0] = ends[:, 0] - counts[:, 0]
-    data = np.stack([shares[lit], slopes[lit]], axis=1)
-    owners = np.nonzero(lit)[2].astype(np.uint8)
-    return PackedLevel(widths, places.ravel(), owners, np.ascontiguousarray(data))
+    lit = shares.any(axis=-1) | slopes.any(axis=-1)  # phase, band, block
+    runs, counts = _runs(lit)  # phase, band, first block
+    place = np.concatenate([[0], np.cumsum(2 * counts)])
+    row = np.full(lit.shape, -1)  # of each lit block's shares
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    row[lit] = np.repeat(place[:-1], counts) + within
+    data = np.empty((place[-1], lanes), np.float32)
+    data[row[lit]] = shares[lit]
+    data[row[lit] + np.repeat(counts, counts)] = slopes[lit]
+
+    together = np.einsum("pib,pjb->ij", lit, lit, dtype=np.int64) > 0
+    pairs = np.argwhere(np.tril(together, -1))
+    both = lit[:, pairs[:, 0]] & lit[:, pairs[:, 1]]
+    met, lengths = _runs(both)  # phase, pair, first block
+    phase, pair, block = met.T
+    one, other = (row[phase, pairs[pair, side], block] for side in (0, 1))
+    return PackedLevel(
+        blocks=blocks,
+        widths=widths,
+        places=np.searchsorted(runs[:, 0], np.arange(phases + 1)).astype(np.int32),
+        runs=_table(*runs.T[1:], counts, place[:-1]),
+        data=data,
+        pairs=np.ascontiguousarray(pairs, np.uint8),
+        meets=np.searchsorted(phase, np.arange(phases + 1)).astype(np.int32),
+        meetings=_table(pair, block, lengths, one, other),
+    )
 
 
-def _coarse(coarse: Coarse) -> PackedCoarse:
+def _table(*columns: NDArray[np.intp]) -> NDArray[np.int32]:
+    return np.ascontiguousarray(np.column_stack(columns), np.int32)
+
+
+def _runs(lit: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Where runs of the last axis begin (run, axis), in order, and how long they are."""
+    edges = np.diff(np.pad(lit.astype(np.int8), ((0, 0), (0, 0), (1, 1))))
+    first, end = np.argwhere(edges > 0), np.argwhere(edges < 0)
+    return first, end[:, -1] - first[:, -1]
+
+
+def _coarse(coarse: Coarse, lanes: int) -> PackedCoarse:
     ratios, bands, bins, lags = coarse.gains.shape
-    blocks = -(-lags // LANES)
-    room = blocks * LANES - lags
+    blocks = -(-lags // lanes)
+    room = blocks * lanes - lags
     gains = np.pad(coarse.gains, ((0, 0), (0, 0), (0, 0), (0, room)))
-    gains = gains.reshape(ratios, bands, bins, blocks, LANES)
+    gains = gains.reshape(ratios, bands, bins, blocks, lanes)
     costs = np.pad(coarse.costs, ((0, 0), (0, 0), (0, room)))
-    costs = costs.reshape(ratios, bands, blocks, LANES).transpose(2, 1, 0, 3)
+    costs = costs.reshape(ratios, bands, blocks, lanes).transpose(2, 1, 0, 3)
     spans = np.zeros((blocks, bands, 3), np.int32)
     pieces, place = [], 0
     for block in range(blocks):
@@ -144,12 +178,18 @@ def _coarse(coarse: Coarse) -> PackedCoarse:
             piece = part[:, first:last].transpose(1, 0, 2)
             pieces.append(piece.ravel())
             place += piece.size
-    owners = np.where(coarse.zones.any(axis=0), coarse.zones.argmax(axis=0), -1)
+    places, runs = [0], []
+    for lag in range(lags):
+        for band in range(bands):
+            zone = np.flatnonzero(np.diff(np.pad(coarse.zones[band, :, lag], 1)))
+            runs += [(band, first, last) for first, last in zone.reshape(-1, 2)]
+        places.append(len(runs))
     return PackedCoarse(
         spans=spans,
         gains=np.concatenate([*pieces, np.zeros(1, np.float32)]),
         costs=np.ascontiguousarray(costs),
-        owners=np.ascontiguousarray(owners.T, np.int8),
+        places=np.array(places, np.int32),
+        runs=np.array(runs, np.int16).reshape(-1, 3),
         widths=np.ascontiguousarray(coarse.zone_widths.T),
         shares=np.ascontiguousarray(coarse.zone_shares.T),
     )

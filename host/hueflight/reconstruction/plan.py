@@ -108,20 +108,19 @@ class Plan:
 
     Attributes
     ----------
-    fine, half : tables at the bin width of the result and at twice that.
+    fine, rough : tables at the bin width of the result and at that of the search.
     coarse : tables of the first search.
     search_ns : least and greatest delay against the reference.
-    fine_factor, half_factor, coarse_factor : bins that each one sums: the sensor's for the fine
-        level, fine ones for the others.
+    fine_factor, coarse_factor : bins that each one sums: the sensor's for the fine level, fine
+        ones for the search.
     spread_ns : standard deviation that one photon of a white target leaves to its delay.
     views : the schedules it is for.
     """
 
     coarse: Coarse
-    half: Level
+    rough: Level
     fine: Level
     fine_factor: int
-    half_factor: int
     coarse_factor: int
     search_ns: tuple[float, float]
     spread_ns: float
@@ -159,18 +158,17 @@ def make_plan(
     sensor_edges = [view.bins.edges_ns for view in views]
     fine_starts, fine_edges = _grouped(sensor_edges, fine)
     fine_level = _level(views, fine_starts, fine_edges, delays_ns, phase_ns)
-    half_level = fine_level
-    if coarse >= 2:
-        half_level = _level(views, *_grouped(fine_edges, 2), delays_ns, phase_ns)
     white = np.asarray(brightness, np.float64) / np.sum(brightness)
     step_ns = coarse * fine * bin_ns
     coarse_bins = _grouped(fine_edges, coarse)
+    rough_level = fine_level
+    if coarse > 1:
+        rough_level = _level(views, *coarse_bins, delays_ns, phase_ns)
     return Plan(
         coarse=_coarse(views, *coarse_bins, delays_ns, step_ns, shortest_fwhm_ns, white),
-        half=half_level,
+        rough=rough_level,
         fine=fine_level,
         fine_factor=fine,
-        half_factor=1 if half_level is fine_level else 2,
         coarse_factor=coarse,
         search_ns=search_ns,
         spread_ns=_spread(fine_level, white),

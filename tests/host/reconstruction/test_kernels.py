@@ -1,14 +1,17 @@
 """The compiled fit against its definition: the same results to single precision's rounding."""
 
+from importlib import import_module
+
 import msgspec
 import numpy as np
 import pytest
 
 from hueflight.errors import HueflightError
 from hueflight.reconstruction import fit as definition
+from hueflight.reconstruction import kernels
 from hueflight.reconstruction.fit import Switches
 from hueflight.reconstruction.joint import plan_for
-from hueflight.reconstruction.kernels import compiled_kernel, fit_pixels
+from hueflight.reconstruction.kernels import BUILDS, compiled_kernel, fit_pixels
 
 compiled = pytest.mark.skipif(compiled_kernel() is None, reason="no compiled fit was built")
 
@@ -58,6 +61,25 @@ def test_same_results(plans, draw, monkeypatch, tail_ns, photons, background):
 
 
 @compiled
+@pytest.mark.parametrize("name", BUILDS)
+def test_every_width_of_vectors_gives_the_same(plans, draw, monkeypatch, name):
+    able = import_module("hueflight.reconstruction._kernels").processor()
+    if BUILDS.index(name) < 2 - able:
+        pytest.skip(f"this processor can't run {name}")
+    build = pytest.importorskip(f"hueflight.reconstruction.{name}")
+    assert build.LANES == {"_kernels_v4": 16, "_kernels_v3": 8, "_kernels": 4}[name]
+    monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
+    instrument, plan = plans[6.0]
+    kernels._packed.pop(plan, None)  # its tables are laid out for one width
+    counts = draw(instrument, depth=0.9, photons=200, background=100)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    slow, fast = both(light, plan, monkeypatch)
+    kernels._packed.pop(plan)
+    apart = np.abs(slow.delay_ns - fast.delay_ns) / slow.delay_std_ns
+    assert np.quantile(apart, 0.98) < 1e-3
+
+
+@compiled
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.uint64, np.float32, float])
 @pytest.mark.parametrize("reverse", [False, True])
 def test_every_type_and_direction_of_counts(plans, draw, monkeypatch, dtype, reverse):
@@ -88,7 +110,7 @@ def test_threads_and_order_of_pixels_change_nothing(plans, draw):
 @pytest.mark.parametrize(
     "switches",
     [
-        Switches(halves=False),
+        Switches(rough=False),
         Switches(settle=False),
         Switches(posterior=False),
         Switches(target_ns=10.0),

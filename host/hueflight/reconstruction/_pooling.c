@@ -3,7 +3,9 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-#include "_vector.h"
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
 #define EVERY_WIDTH __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
@@ -11,7 +13,22 @@
 #define EVERY_WIDTH
 #endif
 
-enum { MOST_PLANES = 40, MOST_GROUPS = 8 };
+enum { MOST_PLANES = 40, MOST_GROUPS = 8, LANES = 16 };
+
+#define INLINE static inline __attribute__((always_inline))
+
+/* Sixteen pixels side by side, in the compiler's own vector types. */
+typedef float vec __attribute__((vector_size(64)));
+typedef float loose __attribute__((vector_size(64), aligned(4)));  /* wherever it lies */
+typedef int32_t ivec __attribute__((vector_size(64)));
+
+INLINE vec load(const float *from) { return *(const loose *)from; }
+INLINE vec fill(float x) { return x - (vec){0}; }
+INLINE vec choose(ivec mask, vec yes, vec no)
+{
+    return (vec)((mask & (ivec)yes) | (~mask & (ivec)no));
+}
+INLINE vec greater(vec a, vec b) { return choose(a > b, a, b); }
 
 /* -- photons -------------------------------------------------------------------------------- */
 

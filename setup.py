@@ -1,9 +1,17 @@
 """The compiled kernels; everything else about the distribution stands in pyproject.toml."""
 
+from platform import machine
+
 from setuptools import Extension, setup
 
 KERNELS = "host/hueflight/ingest"
 RECONSTRUCTION = "host/hueflight/reconstruction"
+
+# the joint fit for three widths of vectors; at run time the widest that works is taken
+VECTOR_BUILDS = {"_kernels": ("4", [])}
+if machine() in {"x86_64", "AMD64"}:
+    VECTOR_BUILDS["_kernels_v3"] = ("8", ["-march=x86-64-v3"])
+    VECTOR_BUILDS["_kernels_v4"] = ("16", ["-march=x86-64-v4", "-mprefer-vector-width=512"])
 
 setup(
     ext_modules=[
@@ -17,26 +25,29 @@ setup(
             py_limited_api=True,
             optional=True,  # without a compiler the NumPy twins take over
         ),
-        Extension(
-            "hueflight.reconstruction._kernels",
-            sources=[f"{RECONSTRUCTION}/_kernels.c"],
-            depends=[
-                f"{RECONSTRUCTION}/_{name}.h"
-                for name in ("vector", "tables", "scoring", "search", "likelihood")
-            ],
-            # roots and logarithms need not set errno; compiled for three widths of vectors, whose
-            # passing between functions never leaves the file
-            extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
-            py_limited_api=True,
-            optional=True,  # without a compiler the definition in NumPy takes over
+        *(
+            Extension(
+                f"hueflight.reconstruction.{name}",
+                sources=[f"{RECONSTRUCTION}/_kernels.c"],
+                depends=[
+                    f"{RECONSTRUCTION}/_{part}.h"
+                    for part in ("vector", "tables", "scoring", "search", "likelihood")
+                ],
+                define_macros=[("MODULE", name), ("LANES", lanes)],
+                # roots and logarithms need not set errno
+                extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", *flags],
+                py_limited_api=True,
+                optional=True,  # without a compiler the definition in NumPy takes over
+            )
+            for name, (lanes, flags) in VECTOR_BUILDS.items()
         ),
         Extension(
             "hueflight.reconstruction._pooling",
             sources=[f"{RECONSTRUCTION}/_pooling.c"],
-            # vectors that are passed between functions never leave the file
+            depends=[f"{RECONSTRUCTION}/_vector.h"],
             extra_compile_args=["-O3", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
             py_limited_api=True,
-            optional=True,
+            optional=True,  # without a compiler the definition in NumPy takes over
         ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},

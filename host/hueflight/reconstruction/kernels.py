@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hueflight.errors import HueflightError
 from hueflight.reconstruction import fit as definition
 from hueflight.reconstruction.fit import DEFAULT, Fit, Switches
-from hueflight.reconstruction.packing import MOST_BANDS, PackedPlan, pack, rules
+from hueflight.reconstruction.packing import MOST_BANDS, PackedLevel, PackedPlan, pack, rules
 from hueflight.reconstruction.plan import Plan
 
 TILE_PIXELS = 2048  #: pixels that one thread takes at a time
@@ -134,16 +134,8 @@ def _fit_compiled(
         light,
         offsets_ns.astype(np.float32),
         *(integers, reals, sizes),
-        *(fine.widths, fine.places, fine.runs, fine.data, fine.pairs, fine.meets, fine.meetings),
-        *(
-            rough.widths,
-            rough.places,
-            rough.runs,
-            rough.data,
-            rough.pairs,
-            rough.meets,
-            rough.meetings,
-        ),
+        *_buffers(fine),
+        *_buffers(rough),
         *(coarse.spans, coarse.gains, coarse.costs),
         *(coarse.places, coarse.runs, coarse.widths, coarse.shares),
         *(delay, deviation, other, amplitudes, amplitude_std, background, steps),
@@ -153,3 +145,8 @@ def _fit_compiled(
         for values in (delay, deviation, other, amplitudes, amplitude_std, background)
     ]
     return Fit(*wide, steps=steps)
+
+
+def _buffers(level: PackedLevel) -> tuple[NDArray[Any], ...]:
+    tables = level.widths, level.places, level.runs, level.data
+    return *tables, level.pairs, level.meets, level.meetings

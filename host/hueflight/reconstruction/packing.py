@@ -120,7 +120,7 @@ def _level(level: Level, lanes: int) -> PackedLevel:
         return padded.reshape(phases, bands, blocks, lanes)
 
     shares, slopes = blocked(level.shares), blocked(level.slopes)
-    lit = shares.any(axis=-1) | slopes.any(axis=-1)  # phase, band, block
+    lit = np.asarray(shares.any(axis=-1) | slopes.any(axis=-1))  # phase, band, block
     runs, counts = _runs(lit)  # phase, band, first block
     place = np.concatenate([[0], np.cumsum(2 * counts)])
     row = np.full(lit.shape, -1)  # of each lit block's shares

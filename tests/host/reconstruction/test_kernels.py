@@ -67,7 +67,7 @@ def test_every_width_of_vectors_gives_the_same(plans, draw, monkeypatch, name):
     if BUILDS.index(name) < 2 - able:
         pytest.skip(f"this processor can't run {name}")
     build = pytest.importorskip(f"hueflight.reconstruction.{name}")
-    assert build.LANES == {"_kernels_v4": 16, "_kernels_v3": 8, "_kernels": 4}[name]
+    assert {"_kernels_v4": 16, "_kernels_v3": 8, "_kernels": 4}[name] == build.LANES
     monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
     instrument, plan = plans[6.0]
     kernels._packed.pop(plan, None)  # its tables are laid out for one width

@@ -37,6 +37,7 @@ def capture(
     distance: float | None = None,
     note: str = "",
     camera: str | None = None,
+    illuminator: str | None = None,
     simulate: bool | None = None,
     scene: str = "fig1",
     yes: bool = False,
@@ -67,6 +68,8 @@ def capture(
         Noted in the recording.
     camera
         Serial number, needed if several are plugged in.
+    illuminator
+        Its serial port, such as /dev/ttyUSB0; without one, something else drives the LEDs.
     simulate
         Use the simulated instrument, or insist on a camera; by default whatever is there.
     scene
@@ -88,7 +91,7 @@ def capture(
     )  # fmt: skip
     plan.check()
     connect = choose_rig(
-        described, simulate=simulate, serial=camera, scene=scene,
+        described, simulate=simulate, serial=camera, illuminator=illuminator, scene=scene,
         say=lambda text: errors.print(f"[bold yellow]{text}[/]"),
     )  # fmt: skip
     acquisition = Acquisition(connect, described)

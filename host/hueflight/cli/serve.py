@@ -21,6 +21,7 @@ def serve(
     simulate: bool | None = None,
     scene: str | None = None,
     camera: str | None = None,
+    illuminator: str | None = None,
     method: str | None = None,
     host: str | None = None,
     port: int | None = None,
@@ -45,6 +46,8 @@ def serve(
         That the simulated instrument looks at.
     camera
         Serial number, needed if several are plugged in.
+    illuminator
+        Its serial port, such as /dev/ttyUSB0; without one, something else drives the LEDs.
     method
         Of reconstruction.
     host
@@ -75,6 +78,7 @@ def serve(
         "simulate": simulate,
         "scene": scene,
         "camera": camera,
+        "illuminator": illuminator,
         "method": method,
     }
     server = {
@@ -92,6 +96,7 @@ def serve(
         described,
         simulate=chosen.simulate,
         serial=chosen.camera or None,
+        illuminator=chosen.illuminator or None,
         scene=chosen.scene,
         say=lambda text: errors.print(f"[bold yellow]{text}[/]"),
     )

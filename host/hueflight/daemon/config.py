@@ -121,6 +121,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         plugged in and none is named.
     scene : that it looks at.
     camera : serial number, needed if several are plugged in.
+    illuminator : its serial port; empty if something else drives the LEDs.
     method : of reconstruction, ``"joint"`` or ``"paper"``; empty for the best there is.
     pictures_hz : live pictures per second; 0 for what suits the frame rate.
     picture_frames : frames behind each; 0 for what suits the frame rate.
@@ -133,6 +134,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     simulate: bool | None = None
     scene: str = "fig1"
     camera: str = ""
+    illuminator: str = ""
     method: str = ""
     pictures_hz: float = 0.0
     picture_frames: int = 0

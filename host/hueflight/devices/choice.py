@@ -19,6 +19,7 @@ def choose_rig(
     *,
     simulate: bool | None,
     serial: str | None,
+    illuminator: str | None,
     scene: str,
     say: Callable[[str], None],
 ) -> Connect:
@@ -28,11 +29,14 @@ def choose_rig(
     ----------
     simulate : True or False to insist; None for the hardware if there is any.
     serial : number of the camera; naming one means hardware.
+    illuminator : serial port of the illuminator; likewise. None if something else drives the LEDs.
     scene : that a simulated instrument looks at.
     say : told what was chosen where nobody insisted.
     """
     if simulate is None:
-        simulate = serial is None and not camera_plugged_in()
+        simulate = serial is None and illuminator is None and not camera_plugged_in()
         if simulate:
             say(NOTICE)
-    return simulated(instrument, scene=scene) if simulate else hardware(serial)
+    if simulate:
+        return simulated(instrument, scene=scene)
+    return hardware(serial, illuminator=illuminator, instrument=instrument)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.lights import Lights, NoLights
+from hueflight.errors import HueflightError
 from hueflight.instrument import Instrument
 
 if TYPE_CHECKING:
@@ -43,8 +44,27 @@ Connect = Callable[[], Rig]
 """Opens a rig; raises `DeviceError` while there is none."""
 
 
-def hardware(serial: str | None = None) -> Connect:
-    """How to open the camera with a serial number, or the only one plugged in."""
+def hardware(
+    serial: str | None = None,
+    *,
+    illuminator: str | None = None,
+    instrument: Instrument | None = None,
+) -> Connect:
+    """How to open the boards that are plugged in.
+
+    Parameters
+    ----------
+    serial : number of the camera, None for the only one.
+    illuminator : serial port of the illuminator, None if something else drives the LEDs.
+    instrument : whose LEDs it drives; needed with one.
+
+    Raises
+    ------
+    DeviceError
+        If an illuminator is named without an instrument.
+    """
+    if illuminator and instrument is None:
+        raise DeviceError(f"illuminator {illuminator}: say which instrument's LEDs it drives")
 
     def connect() -> Rig:
         try:
@@ -54,9 +74,40 @@ def hardware(serial: str | None = None) -> Connect:
                 f"cameras need the package {error.name}: install hueflight[devices], or use "
                 "--simulate"
             ) from None
-        return Rig(open_camera(serial), NoLights())
+        camera = open_camera(serial)
+        if not illuminator or instrument is None:
+            return Rig(camera, NoLights())
+        try:
+            return Rig(camera, lights_on(illuminator, instrument))
+        except DeviceError:
+            camera.close()
+            raise
 
     return connect
+
+
+def lights_on(port: str, instrument: Instrument, /) -> Lights:
+    """The illuminator on a serial port, loaded with an instrument's schedule, LEDs dark.
+
+    Raises
+    ------
+    DeviceError
+        If the port can't be opened, no illuminator answers, or it can't drive these LEDs.
+    """
+    from hueflight.devices.illuminator import open_illuminator
+    from hueflight.devices.illuminator_lights import IlluminatorLights
+
+    board = open_illuminator(port)
+    try:
+        return IlluminatorLights(board, instrument)
+    except HueflightError as error:
+        with contextlib.suppress(DeviceError):  # the first error says more
+            board.close()
+        if isinstance(error, DeviceError):
+            raise
+        raise DeviceError(
+            f"the illuminator on {port} can't drive the LEDs of {instrument.name!r}: {error}"
+        ) from error
 
 
 def camera_plugged_in() -> bool:

@@ -59,7 +59,8 @@ def write_project(target: Target, folder: Path, /) -> list[Path]:
 def estimate(target: Target, folder: Path, /) -> dict[str, int]:
     """Return how many cells yosys makes of a project that has been written, by kind.
 
-    It is an estimate: nothing has been packed, placed or routed.
+    It is an estimate: nothing has been packed, placed or routed. It is also written as
+    ``counts.json``, for the page of bitstreams.
     """
     if target.family in _ISE_SYNTHESIS:
         (folder / "blackboxes.v").write_text(target.blackboxes)
@@ -71,4 +72,7 @@ def estimate(target: Target, folder: Path, /) -> dict[str, int]:
     run_tool("yosys", "-q", "-p", passes, cwd=folder)
     cells = json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]
     counted = {kind: sum(cells.get(name, 0) for name in names) for kind, names in _KINDS.items()}
-    return {kind: number for kind, number in counted.items() if number}
+    counted = {kind: number for kind, number in counted.items() if number}
+    content = {"design": target.design, "board": target.board, "lanes": target.lanes}
+    (folder / "counts.json").write_text(json.dumps({**content, "cells": counted}, indent=2) + "\n")
+    return counted

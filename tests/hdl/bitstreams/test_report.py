@@ -5,6 +5,7 @@ import json
 import pytest
 
 from hueflight_hdl.build_report import BuildError, BuildReport, ClockResult, read_cells, read_clocks
+from hueflight_hdl.build_table import page
 
 # shortened from what nextpnr 0.11 wrote for two boards
 ICE40 = {
@@ -66,3 +67,27 @@ def test_the_smallest_margin_decides(tmp_path):
     assert content["reached"] is False
     assert content["bitstream"] == "top.bit"
     assert content["clocks"]["pulse"]["margin"] == 0.095
+
+
+def test_the_page_says_who_falls_short():
+    reports = [
+        {
+            "design": "illuminator",
+            "board": board,
+            "lanes": None,
+            "used": {"LUT4": [100, 200]},
+            "clocks": {"pulse": {"reached_mhz": 100 * (1 + m), "needed_mhz": 100, "margin": m}},
+            "seed": 3,
+            "tried": {"1": 0.02, "3": m},
+            "reached": reached,
+        }
+        for board, m, reached in (("b", 0.05, False), ("a", 0.123, True))
+    ]
+    counts = [{"design": "camera", "board": "c", "lanes": 4, "cells": {"LUT": 7, "carry": 2}}]
+    lines = page(reports, counts).splitlines()
+    good = next(line for line in lines if "illuminator, a" in line)
+    bad = next(line for line in lines if "illuminator, b" in line)
+    assert lines.index(good) < lines.index(bad)
+    assert "112.3 of 100 MHz (+12.3%) | yes | 3 of 2" in good
+    assert "**no**" in bad
+    assert "| camera, c, 4 lanes | 7 | 2 |" in lines

@@ -26,20 +26,22 @@ def shrunk(
     center = float((weight * known).sum() / weight.sum())
     rest = np.where(usable, values - center, 0.0)
     guess = np.full(values.shape, center)
+    unsure = np.zeros(values.shape)
     for axis in (1, 0):  # what a row has in common, then a column
-        line = _line_effect(rest, weight, axis)
-        guess = guess + line
+        line, doubt = _line_effect(rest, weight, axis)
+        guess, unsure = guess + line, unsure + doubt
         rest = np.where(usable, rest - line, 0.0)
     noise = 1 / np.where(usable, weight, 1.0)
     own = _excess_variance(rest[usable] ** 2 - noise[usable], weight[usable])
     keep = np.where(usable, own / (own + noise), 0.0)
-    return guess + keep * rest, np.where(usable, keep * noise, own)
+    # what a pixel keeps of its own makes up for its line's error
+    return guess + keep * rest, (1 - keep) ** 2 * unsure + np.where(usable, keep * noise, own)
 
 
 def _line_effect(
     rest: NDArray[np.float64], weight: NDArray[np.float64], axis: int
-) -> NDArray[np.float64]:
-    """Shrunken weighted mean along an axis, kept as a dimension."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Shrunken weighted mean along an axis, kept as a dimension, and its remaining variance."""
     total = weight.sum(axis=axis, keepdims=True)
     mean = (weight * rest).sum(axis=axis, keepdims=True) / np.maximum(total, 1e-300)
     # the noise of the mean, pixels' own deviations included: from the scatter about it
@@ -49,7 +51,8 @@ def _line_effect(
     noise = per_weight / np.maximum(total, 1e-300)
     filled = total > 0
     common = _excess_variance((mean**2 - noise)[filled], (1 / noise)[filled])
-    return np.where(filled, mean * common / (common + noise), 0.0)
+    keep = np.where(filled, common / (common + noise), 0.0)
+    return keep * mean, np.where(filled, keep * noise, common)
 
 
 def _excess_variance(excess: NDArray[np.float64], weight: NDArray[np.float64]) -> float:

@@ -335,7 +335,8 @@ def by_phase(phase: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Pixels of each phase."""
     order = np.argsort(phase, kind="stable")
     values, first = np.unique(phase[order], return_index=True)
-    for value, chosen in zip(values, np.split(order, first[1:]), strict=True):
+    parts = np.split(order, first[1:]) if phase.size else []
+    for value, chosen in zip(values, parts, strict=True):
         yield int(value), chosen
 
 

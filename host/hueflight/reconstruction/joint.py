@@ -24,6 +24,7 @@ from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.resolution import resolved
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
+TINY = 1e-30  #: exposures; fewer are none
 
 _plans: WeakKeyDictionary[Calibration, dict[tuple[float, float], Plan]] = WeakKeyDictionary()
 
@@ -209,7 +210,9 @@ def _reflectance_scale(
     """Factor (row, col) from fitted photons to photons per frame of an average pixel."""
     if frames is None or calibration.frames is None:
         return 1 / calibration.flat_field
-    scale = 1 / (calibration.flat_field * frames)
+    # so few exposures (weighted counts may come near 0) tell nothing
+    exposures = np.where(frames > TINY, frames, np.nan)
+    scale = 1 / (calibration.flat_field * exposures)
     if pileup_correction:
         return scale * lost_photons_factor(photons, frames)
     # the calibration is in photons that arrived: take the loss back

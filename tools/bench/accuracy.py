@@ -1,0 +1,304 @@
+"""Error against run time of every way to an image: a table, a plot, and the limits that must hold.
+
+    python3 tools/dev.py bench accuracy [--quick] [--write]
+
+Every cell is a colour × signal photons × background × pulse tail × bin width. Photons are drawn
+from the pulses in continuous time; estimators get a calibration from drawn captures. Errors are
+ratios to the Cramér–Rao bound. `--write` puts tables and plot where the documentation shows them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import fields
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from _measure import table
+from _trials import COLOURS, DISTANCE_M, Cell, Estimate, Estimator, Outcome, run_cell
+from numpy.typing import NDArray
+from phasorpy.phasor import phasor_from_signal
+
+import hueflight as hf
+from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.reconstruction import joint as joint_method
+from hueflight.reconstruction.fit import Switches
+from hueflight.reconstruction.image import as_image
+
+DOCS = Path(__file__).parents[2] / "docs" / "results"
+TAILS_NS = (0.0, 3.0, 6.0)
+BACKGROUNDS = (0.0, 0.1, 0.3, 1.0, 10.0)
+PHOTONS = (10, 50, 100, 200, 620, 2000, 10_000, 100_000)
+WIDTH_NS, NARROW_NS = 0.642, 0.055
+
+Results = dict[Cell, Outcome]
+
+
+def joint(histogram: NDArray[np.uint32], calibration: hf.Calibration):
+    return hf.reconstruct(histogram, calibration, method="joint")
+
+
+def paper(histogram: NDArray[np.uint32], calibration: hf.Calibration):
+    return hf.reconstruct(histogram, calibration, method="paper")
+
+
+def joint_with(switches: Switches) -> Estimator:
+    def estimate(histogram: NDArray[np.uint32], calibration: hf.Calibration):
+        light = calibration.bins.in_time_order(histogram).astype(np.float32)
+        frames = histogram.sum(axis=-1).astype(np.float64)
+        found = joint_method.estimate(light, frames, calibration, switches=switches)
+        return as_image(found, calibration, method="joint")
+
+    return estimate
+
+
+def phasor(histogram: NDArray[np.uint32], calibration: hf.Calibration) -> Estimate:
+    """Delay from the phase of one harmonic against the reference's (PhasorPy); no bands."""
+    bins = calibration.bins
+    period_ns = bins.span_ns
+    middle_ns = (bins.edges_ns[1:] + bins.edges_ns[:-1]) / 2
+    pooled = calibration.reference.sum(axis=(0, 1))
+
+    def phase(light: NDArray, harmonic: int) -> tuple[NDArray, NDArray]:
+        # each photon where its bin is; PhasorPy has harmonics of the samples' phases
+        at = 2 * np.pi * harmonic * middle_ns / period_ns
+        _, real, imag = phasor_from_signal(light, sample_phase=at, axis=-1)
+        return np.arctan2(imag, real), np.hypot(real, imag)
+
+    # the one that tells most about delay: steepest phase at the least noise
+    harmonic = max(range(1, 17), key=lambda h: float(h * phase(pooled, h)[1]))
+    turned = phase(bins.in_time_order(histogram), harmonic)[0] - phase(pooled, harmonic)[0]
+    turned = (turned + np.pi) % (2 * np.pi) - np.pi
+    delay_ns = turned / (2 * np.pi * harmonic) * period_ns
+    depth = DISTANCE_M + delay_ns * SPEED_OF_LIGHT_M_PER_NS / 2
+    unsaid = np.full((*depth.shape, calibration.templates.bands), np.nan)
+    return Estimate(depth, np.full_like(depth, np.nan), unsaid, unsaid)
+
+
+CONTENDERS: dict[str, Estimator] = {
+    "joint": joint,
+    **{
+        f"joint, no {field.name}": joint_with(Switches(**{field.name: False}))
+        for field in fields(Switches)
+        if field.default is True
+    },
+    "joint, until 3 cm": joint_with(Switches(target_ns=0.03 / SPEED_OF_LIGHT_M_PER_NS * 2)),
+    "paper": paper,
+    "PhasorPy phase": phasor,
+}
+
+
+def main() -> None:
+    quick = "--quick" in sys.argv
+    pixels = 2048 if quick else 6144
+    photons = (50, 200, 620, 10_000) if quick else PHOTONS
+    backgrounds = (0.0, 0.1, 1.0) if quick else BACKGROUNDS
+    cells = [
+        Cell(*c, WIDTH_NS) for c in _grid(photons, backgrounds, (0.0, 6.0) if quick else TAILS_NS)
+    ]
+    found = _run(cells, pixels)
+    narrow: Results = {}
+    if not quick:
+        narrow = _run([Cell(*c, NARROW_NS) for c in _grid((50, 620), (0.1, 1.0), (0.0, 6.0))], 1024)
+    methods = {
+        background: {
+            colour: run_cell(Cell(colour, 620, background, 3.0, WIDTH_NS), CONTENDERS, pixels=6144)
+            for colour in COLOURS
+        }
+        for background in (0.1, 1.0)
+    }
+    parts = {
+        "limits": _limits(found),
+        "grid": _grid_tables(found),
+        "narrow": _grid_tables(narrow) if narrow else "",
+        "methods": _methods(methods),
+    }
+    for title, text in parts.items():
+        print(f"\n## {title}\n\n{text}")
+    if "--write" in sys.argv:
+        DOCS.mkdir(exist_ok=True)
+        for name, text in parts.items():
+            (DOCS / f"accuracy-{name}.inc").write_text(text)
+        _plot(methods[0.1], DOCS / "accuracy-pareto.png")
+
+
+def _grid(
+    photons: Iterable[float], backgrounds: Iterable[float], tails_ns: Iterable[float]
+) -> list[tuple[str, float, float, float]]:
+    """Conditions, one tail after the other since each needs a calibration of its own."""
+    return [(c, n, b, t) for t, b, n, c in product(tails_ns, backgrounds, photons, COLOURS)]
+
+
+def _run(cells: list[Cell], pixels: int) -> Results:
+    found: Results = {}
+    for number, cell in enumerate(cells):
+        found[cell] = run_cell(cell, {"joint": joint}, pixels=pixels, seed=number)["joint"]
+        if number % 50 == 49:
+            print(f"{number + 1} of {len(cells)} cells", file=sys.stderr, flush=True)
+    return found
+
+
+def _rms(values: Iterable[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(values)))))
+
+
+def _limits(found: Results) -> str:
+    """The limits that must hold, each figure the worst colour (and tail, and band)."""
+
+    def worst(
+        value: Callable[[list[Outcome]], float],
+        keep: Callable[[Cell], bool],
+        *,
+        per_tail: bool = True,
+    ) -> float:
+        groups: dict[tuple[str, float], list[Outcome]] = {}
+        for cell, outcome in found.items():
+            if keep(cell):
+                key = (cell.colour, cell.tail_ns if per_tail else 0.0)
+                groups.setdefault(key, []).append(outcome)
+        return max((value(group) for group in groups.values()), default=float("nan"))
+
+    def ratio(group: list[Outcome]) -> float:
+        return _rms(o.depth_ratio for o in group)
+
+    def bias(group: list[Outcome]) -> float:
+        weight = np.array([o.depth_bias_noise_mm**-2 for o in group])
+        return float(abs(np.average([o.depth_bias_mm for o in group], weights=weight)))
+
+    def band_bias(group: list[Outcome]) -> float:
+        weight = np.array([o.reflectance_bias_noise**-2.0 for o in group])
+        return float(
+            np.abs(np.average([o.reflectance_bias for o in group], axis=0, weights=weight)).max()
+        )
+
+    def band_spread(group: list[Outcome]) -> float:
+        return float(np.sqrt(np.mean([o.reflectance_ratio**2 for o in group], axis=0)).max())
+
+    def mislocks(group: list[Outcome]) -> float:
+        return max(o.mislocks for o in group)
+
+    many = [o for c, o in found.items() if c.photons >= 600 and c.background <= 1]
+    depth = np.mean([o.depth_cover for o in many], axis=0) * 100
+    bands = np.array([o.reflectance_cover for o in many]) * 100
+    pooled = bands.mean(axis=0)
+    up_to_1 = [0.0, 0.1, 0.3, 1.0]
+
+    def some(cell: Cell, photons: Iterable[float], backgrounds: Iterable[float]) -> bool:
+        return cell.photons in photons and cell.background in backgrounds
+
+    bright = [n for n in PHOTONS if n >= 600]
+    rows = [
+        ["depth RMSE ÷ bound, ≥ 600 photons", "≤ 1.02",
+         f"{worst(ratio, lambda c: some(c, bright, up_to_1)):.3f}"],
+        ["the same, 200 photons, background up to 1:1", "≤ 1.06",
+         f"{worst(ratio, lambda c: some(c, [200], up_to_1)):.3f}"],
+        ["the same, 50 and 100 photons", "≤ 1.25",
+         f"{worst(ratio, lambda c: some(c, [50, 100], up_to_1)):.3f}"],
+        ["mislocks, 50 and 100 photons (worst cell)", "< 0.5 %",
+         f"{100 * worst(mislocks, lambda c: some(c, [50, 100], up_to_1)):.2f} %"],
+        ["depth bias with colour, 6 ns tails, 620 photons", "≤ 1 mm",
+         f"{worst(bias, lambda c: some(c, [620], up_to_1) and c.tail_ns == 6):.2f} mm"],
+        ["the same, 200 photons", "≤ 2 mm",
+         f"{worst(bias, lambda c: some(c, [200], up_to_1) and c.tail_ns == 6):.2f} mm"],
+        ["reflectance bias ÷ brightest band, 620 photons, background up to 30 %", "≤ 1 %",
+         f"{100 * worst(band_bias, lambda c: some(c, [620], [0.0, 0.1, 0.3])):.2f} %"],
+        ["the same, 200 photons", "≤ 1 %",
+         f"{100 * worst(band_bias, lambda c: some(c, [200], [0.0, 0.1, 0.3])):.2f} %"],
+        ["reflectance spread ÷ bound, ≥ 600 photons", "≤ 1.05",
+         f"{worst(band_spread, lambda c: some(c, bright, up_to_1)):.3f}"],
+        ["depth within its 68 / 95 % interval, ≥ 600 photons", "66–70 / 94–96 %",
+         f"{depth[0]:.1f} / {depth[1]:.1f} %"],
+        ["reflectance within its, lowest and highest band", "66–70 / 94–96 %",
+         f"{pooled[:, 0].min():.1f}–{pooled[:, 0].max():.1f} / "
+         f"{pooled[:, 1].min():.1f}–{pooled[:, 1].max():.1f} %"],
+        ["the same, lowest and highest band of a single cell", "",
+         f"{bands[..., 0].min():.1f}–{bands[..., 0].max():.1f} / "
+         f"{bands[..., 1].min():.1f}–{bands[..., 1].max():.1f} %"],
+    ]  # fmt: skip
+    return table(["`joint`, worst colour and tail", "must", "measured"], rows)
+
+
+def _grid_tables(found: Results) -> str:
+    """One table per tail: depth ratio (worst colour), mislocks, ΔE00 over photons × background."""
+    text = []
+    for tail_ns in sorted({cell.tail_ns for cell in found}):
+        cells = [cell for cell in found if cell.tail_ns == tail_ns]
+        backgrounds = sorted({cell.background for cell in cells})
+        rows = []
+        for photons in sorted({cell.photons for cell in cells}):
+            row = [f"{photons:g}"]
+            for background in backgrounds:
+                some = [
+                    found[c] for c in cells if c.photons == photons and c.background == background
+                ]
+                lost = 100 * max(o.mislocks for o in some)
+                row.append(
+                    f"{max(o.depth_ratio for o in some):.2f} · {lost:.2g} % · "
+                    f"{np.nanmean([o.delta_e for o in some]):.1f}"
+                )
+            rows.append(row)
+        head = ["photons", *(f"background {background:g}:1" for background in backgrounds)]
+        text.append(f"Tail {tail_ns:g} ns:\n\n{table(head, rows)}")
+    return "\n".join(text)
+
+
+def _methods(methods: dict[float, dict[str, dict[str, Outcome]]]) -> str:
+    text = []
+    for background, colours in methods.items():
+        slowest = min(c["paper"].pixels_per_s for c in colours.values())
+        rows = []
+        for name in CONTENDERS:
+            some = [outcomes[name] for outcomes in colours.values()]
+            spread = [o.reflectance_ratio.max() for o in some]
+            # less what the mean of so many noisy pixels strays by itself
+            bias = [o.reflectance_bias**2 - o.reflectance_bias_noise**2 for o in some]
+            rows.append([
+                name,
+                f"{colours['white'][name].depth_ratio:.2f}",
+                f"{max(o.depth_ratio for o in some):.2f}",
+                f"{max(abs(o.depth_bias_mm) for o in some):.1f}",
+                f"{100 * max(o.mislocks for o in some):.2g}",
+                _number(100 * float(np.sqrt(np.maximum(np.mean(bias), 0))), ".1f"),
+                _number(max(spread), ".2f"),
+                _number(float(np.mean([o.delta_e for o in some])), ".1f"),
+                f"{np.mean([o.pixels_per_s for o in some]) / slowest:.2f}",
+            ])  # fmt: skip
+        head = [
+            f"620 photons, background {background:g}:1, tails 3 ns", "RMSE ÷ bound, white",
+            "worst colour", "depth bias / mm", "mislocks / %", "reflectance bias, RMS / %",
+            "spread ÷ bound", "ΔE00", "speed ÷ paper's",
+        ]  # fmt: skip
+        text.append(table(head, rows))
+    return "\n".join(text)
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "–"
+
+
+def _plot(colours: dict[str, dict[str, Outcome]], path: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    for name in CONTENDERS:
+        some = [outcomes[name] for outcomes in colours.values()]
+        speed = float(np.mean([o.pixels_per_s for o in some]))
+        worst = max(o.depth_ratio for o in some)
+        (line,) = axes.plot(speed, some[0].depth_ratio, "o")
+        axes.plot([speed, speed], [some[0].depth_ratio, worst], "-", color=line.get_color())
+        axes.annotate(name, (speed, worst), (4, 4), textcoords="offset points", fontsize=8)
+    axes.set(xscale="log", yscale="log", xlabel="pixels per second, one thread",
+             ylabel="depth RMSE ÷ Cramér–Rao bound")  # fmt: skip
+    axes.axhline(1, color="0.6", linewidth=0.8)
+    axes.set_title("620 photons, 10 % background: white (dot) to the worst colour", fontsize=10)
+    axes.grid(visible=True, which="both", alpha=0.25)
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

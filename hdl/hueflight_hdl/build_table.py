@@ -36,6 +36,24 @@ it is an **estimate**: their tools pack differently, and the vendor's host inter
 counted. Lanes are the codes that the sensor port takes in each clock.
 """
 
+_LINKS = """
+## How far the links are tested
+
+| link | board | tested |
+|---|---|---|
+| serial line | illuminator, all; camera on ULX3S (control) | bit for bit in simulation |
+| USB 2 at high speed (LUNA) | camera on ECPIX-5 | in simulation against a model of a host on the \
+transceiver's interface (UTMI): chirp, enumeration, control, and a stream on a bus that damages \
+packets and loses acknowledgements; not on hardware |
+| FT601 (USB 3) | camera on ULX3S, packets | in simulation against a model of the chip's write \
+cycle; not on hardware. `TXE_N` goes straight to the enable of the output registers, which at \
+100 MHz asks for short wires |
+| Opal Kelly (USB 3) | camera on XEM6310 | the part in front of the vendor's modules in \
+simulation; **not tested on hardware** |
+
+No design has been loaded into a board by the project's own tests.
+""".replace("\\\n", "")
+
 
 def page(reports: Iterable[dict[str, Any]], counts: Iterable[dict[str, Any]], /) -> str:
     """Return the page in Markdown.
@@ -71,7 +89,7 @@ def page(reports: Iterable[dict[str, Any]], counts: Iterable[dict[str, Any]], /)
             for count in counted
         ]
         lines += ["", _COUNTS, *_table(["design, board", *(f"{kind}s" for kind in kinds)], rows)]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" + _LINKS
 
 
 def _name(content: dict[str, Any]) -> str:

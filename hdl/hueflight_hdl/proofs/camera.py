@@ -12,7 +12,13 @@ from collections.abc import Sequence
 
 from .camera_capture import AbortHarness, VerdictHarness
 from .camera_counters import CountersHarness
-from .camera_formatter import CollisionHarness, ProgressHarness, StableHarness, WalkHarness
+from .camera_formatter import (
+    CollisionHarness,
+    ProgressHarness,
+    SealHarness,
+    StableHarness,
+    WalkHarness,
+)
 from .proof import Proof, ProofError, prove
 
 PROOFS = (
@@ -45,11 +51,18 @@ PROOFS = (
         induction=False,
     ),
     Proof(
+        "camera-seal",
+        "Sealing passes on every word once, and the length that it fills in is the packet's.",
+        SealHarness,
+        depth=20,
+        induction=False,
+    ),
+    Proof(
         "camera-packets",
-        "No packet is shorter or longer than its chunks say, aborted ones included; totals and "
-        "length are right.",
+        "No packet is shorter or longer than its chunks say, aborted ones included, and its "
+        "totals are right.",
         WalkHarness,
-        depth=48,
+        depth=30,
         induction=False,
     ),
     Proof(
@@ -61,10 +74,10 @@ PROOFS = (
     ),
     Proof(
         "camera-progress",
-        "With a link that takes every word, all that has come has left 48 clocks later, and all "
-        "buffers are free.",
+        "With a link that takes every word, all that has come has left 34 clocks later, and all "
+        "banks are free.",
         ProgressHarness,
-        depth=64,
+        depth=40,
         induction=False,
     ),
 )

@@ -8,29 +8,54 @@ from amaranth.lib.wiring import In
 
 from hueflight_protocol.wire import ChunkKind, TrailerStatus, dense_bytes
 
+from ..frame.crc import PacketCrc
 from ..frame.filter import FILTER_LAYOUT, MASK_WORD
 from ..frame.format import INFO_LAYOUT, FrameFormat
 from ..frame.formatter import MIN_BUFFER_WORDS, FrameFormatter
 from ..frame.header import HEADER_WORDS
+from ..frame.reader import PieceReader
+from ..frame.seal import SEALED_LAYOUT, PacketSealer
 
-SMALL = FrameFormat(rows=1, cols=24, code_bits=3, lanes=8, run=16, banks=2)
-"""Two beats and one a chunk, chunks of both kinds, two banks that fill at once."""
+SMALL = FrameFormat(rows=1, cols=16, code_bits=5, lanes=8, run=8, banks=2)
+"""One beat a chunk, chunks of both kinds, of half words and of whole ones; two banks."""
 
-SMALLEST = FrameFormat(rows=1, cols=16, code_bits=5, lanes=8, run=8, banks=2)
-"""One beat a chunk, chunks of both kinds, of half words and of whole ones."""
+
+class OpenFormatter(FrameFormatter):
+    """A formatter with nothing behind its words: there is room for one in any clock, or none.
+
+    That is more than any buffer and link do, so what holds here holds with them.
+
+    Members
+    -------
+    has_room, valid, word
+        Set from outside; words before they are sealed.
+    """
+
+    def __init__(self, form: FrameFormat) -> None:
+        super().__init__(form, buffer_words=MIN_BUFFER_WORDS)
+        self.has_room = Signal()
+        self.valid = Signal()
+        self.word = Signal(SEALED_LAYOUT)
+
+    def _buffer(self, m: Module, reader: PieceReader, sealer: PacketSealer) -> None:
+        m.d.comb += [
+            reader.room.eq(self.has_room),
+            self.valid.eq(sealer.i.valid),
+            self.word.eq(sealer.i.payload),
+        ]
 
 
 class FormatterHarness(wiring.Component):
-    """A formatter whose inputs do anything; messages are left out unless asked for.
+    """A formatter whose inputs do anything; there are no messages.
 
     Parameters
     ----------
-    form : FrameFormat
+    formatter : FrameFormatter
     """
 
-    def __init__(self, form: FrameFormat = SMALL) -> None:
-        self.form = form
-        self.formatter = FrameFormatter(form, buffer_words=MIN_BUFFER_WORDS)
+    def __init__(self, formatter: FrameFormatter) -> None:
+        self.formatter = formatter
+        self.form = form = formatter.form
         super().__init__(
             {
                 "codes": In(form.lanes * form.code_bits),
@@ -53,7 +78,6 @@ class FormatterHarness(wiring.Component):
             formatter.info.eq(self.info),
             formatter.filters.eq(self.filters),
             formatter.mask_data.eq(self.mask),
-            formatter.o.ready.eq(self.take),
         ]
         self.state(m)
         return m
@@ -65,40 +89,58 @@ class FormatterHarness(wiring.Component):
 class StableHarness(FormatterHarness):
     """A word that waits stays as it is."""
 
+    def __init__(self) -> None:
+        super().__init__(FrameFormatter(SMALL, buffer_words=MIN_BUFFER_WORDS))
+
     def state(self, m: Module) -> None:
         """Compare with the clock before."""
         out = self.formatter.o
         waited = Signal()
         word = Signal.like(out.payload)
+        m.d.comb += out.ready.eq(self.take)
         m.d.sync += [waited.eq(out.valid & ~out.ready), word.eq(out.payload)]
         with m.If(waited):
             m.d.comb += [Assert(out.valid), Assert(out.payload.as_value() == word.as_value())]
 
 
-class WalkHarness(FormatterHarness):
+class OpenHarness(FormatterHarness):
+    """A formatter with nothing behind it; `take` is room for a word."""
+
+    formatter: OpenFormatter
+
+    def __init__(self) -> None:
+        super().__init__(OpenFormatter(SMALL))
+
+    def elaborate(self, platform: object) -> Module:
+        m = super().elaborate(platform)
+        m.d.comb += self.formatter.has_room.eq(self.take)
+        return m
+
+
+class WalkHarness(OpenHarness):
     """Every packet ends just where a walk over its chunks says."""
 
     def state(self, m: Module) -> None:
         """Walk the packets, half a word at a time."""
-        out = self.formatter.o
-        word = out.payload.data
-        taken = Signal()
-        m.d.comb += taken.eq(out.valid & out.ready)
-        number = Signal(16)  # of the word in its packet
+        taken, last = self.formatter.valid, self.formatter.word.last
+        word = self.formatter.word.data
+        number = Signal(4)  # of the header's words, and the first one behind them
         left = Signal(16)  # halves of the present chunk
         index, chunks, hits = Signal(15), Signal(16), Signal(32)
         trailer = Signal()  # the next word is the packet's last
         body = Signal()
-        m.d.comb += body.eq((number >= HEADER_WORDS) & ~trailer)
+        m.d.comb += body.eq((number == HEADER_WORDS) & ~trailer)
 
         walk = _Walk(self.form, left, index, chunks, hits)
         low, ends = walk.step(m, "low", taken & body, word[:32])
         high, _ = low.step(m, "high", taken & body & ~ends, word[32:])
         with m.If(taken):
-            m.d.comb += Assert(out.payload.last == trailer)
-            m.d.sync += number.eq(number + 1)
+            m.d.comb += Assert(last == trailer)
+            m.d.comb += Assert(self.formatter.word.check == (number == HEADER_WORDS - 1))
+            with m.If(number != HEADER_WORDS):
+                m.d.sync += number.eq(number + 1)
             with m.If(trailer):
-                m.d.comb += Assert(word[:32] == (number + 1) << 1)
+                m.d.comb += Assert(word == 0)  # length and CRC are filled in
                 m.d.sync += [number.eq(0), trailer.eq(0)]
                 m.d.sync += [left.eq(0), index.eq(0), chunks.eq(0), hits.eq(0)]
             with m.Elif(body):
@@ -177,7 +219,7 @@ class _Walk:
         return after, ends
 
 
-class CollisionHarness(FormatterHarness):
+class CollisionHarness(OpenHarness):
     """What is fetched from a chunk's memories is not written in the same clock."""
 
     def state(self, m: Module) -> None:
@@ -185,14 +227,14 @@ class CollisionHarness(FormatterHarness):
         m.d.comb += Assert(~self.formatter.clash)
 
 
-class ProgressHarness(FormatterHarness):
-    """With a link that takes everything, what has come leaves; nothing of it is left over."""
+class ProgressHarness(OpenHarness):
+    """With room for every word, what has come leaves; nothing of it is left over."""
 
-    CLOCKS = 48
-    """Clocks after the last beat, more than a packet of `SMALL` takes."""
+    CLOCKS = 34
+    """Clocks after the last beat, more than a packet takes."""
 
     def state(self, m: Module) -> None:
-        """Count the clocks in which nothing comes and everything is taken."""
+        """Count the clocks in which nothing comes and there is room."""
         formatter = self.formatter
         quiet = Signal(range(self.CLOCKS + 1))
         comes = formatter.beats.valid & formatter.beats.ready
@@ -203,8 +245,35 @@ class ProgressHarness(FormatterHarness):
         with m.If(quiet == self.CLOCKS):
             m.d.comb += [
                 Assert(~formatter.sending),
-                Assert(~formatter.o.valid),
-                Assert(formatter.room == MIN_BUFFER_WORDS),
+                Assert(~formatter.valid),
                 Assert(formatter.banks_free == self.form.banks),
-                Assert(~formatter.abort | ~formatter.in_frame),
             ]
+
+
+class SealHarness(wiring.Component):
+    """The sealer passes on every word once, and fills in the packet's length."""
+
+    def __init__(self) -> None:
+        super().__init__({"valid": In(1), "word": In(SEALED_LAYOUT)})
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        m.submodules.sealer = sealer = PacketSealer()
+        m.d.comb += [sealer.i.valid.eq(self.valid), sealer.i.payload.eq(self.word)]
+        latency = PacketCrc.latency + 2
+        coming = Signal(latency)  # words on their way, and whether they are the last ones
+        ends = Signal(latency)
+        m.d.sync += [
+            coming.eq(coming << 1 | self.valid),
+            ends.eq(ends << 1 | (self.valid & self.word.last)),
+        ]
+        halves = Signal(32)  # of words in the packet so far
+        out = sealer.o
+        m.d.comb += Assert(out.valid == coming[-1])
+        with m.If(out.valid):
+            m.d.comb += Assert(out.payload.last == ends[-1])
+            m.d.sync += halves.eq(halves + 2)
+            with m.If(out.payload.last):
+                m.d.comb += Assert(out.payload.data[:32] == halves + 2)
+                m.d.sync += halves.eq(0)
+        return m

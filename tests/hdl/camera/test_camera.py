@@ -10,6 +10,7 @@ from hueflight_hdl.designs.camera_bench import SimulatedCamera, compile_camera
 from hueflight_hdl.frame.format import FrameFormat
 from hueflight_hdl.frame.reference import filter_codes
 from hueflight_hdl.sensor.model import synthetic_frames
+from hueflight_hdl.simulation.camera_run import camera_packets
 from hueflight_protocol import (
     Event,
     EventCode,
@@ -30,9 +31,12 @@ SMALL = CameraConfig(
 
 
 @pytest.fixture(scope="module")
-def small(simulator):
-    compiled = compile_camera(SMALL)
+def compiled(simulator):
+    return compile_camera(SMALL)
 
+
+@pytest.fixture(scope="module")
+def small(compiled):
     def start(**options):
         camera = SimulatedCamera(SMALL, compiled=compiled, **options)
         running.append(camera)
@@ -94,6 +98,26 @@ def test_capture_is_delivered_and_told_of(small):
     assert report.aborted == 0
     assert camera.read("hits")["value"] == sum(np.count_nonzero(f.codes) for f in frames)
     assert camera.read("periods")["value"] == 9 * 4
+
+
+@pytest.mark.parametrize("overlap", [False, True])
+def test_a_capture_as_a_stream(compiled, overlap):
+    stream = camera_packets(
+        SMALL, frames=30, occupancy=0.4, seed=9, exposure=6, overlap=overlap, compiled=compiled
+    )
+    packets, report = parse(b"".join(stream))
+    frames = frames_of(packets)
+    assert (len(frames), report.aborted, report.dropped) == (30, 0, 0)
+    expected = islice(synthetic_frames(SMALL.form, 1, seed=9, occupancy=26214), 30)
+    for number, (frame, codes) in enumerate(zip(frames, expected, strict=True)):
+        assert frame.header.frame == number
+        np.testing.assert_array_equal(frame.codes, codes)
+    # exposures of 192 clocks, readouts of 120: three clocks from one exposure to the next, or
+    # the readout and what it takes to begin and end it
+    (spacing,) = set(np.diff([frame.header.timestamp for frame in frames]))
+    assert spacing == 195 if overlap else 192 + 120 < spacing < 192 + 120 + 12
+    assert isinstance(packets[-1], Event)
+    assert packets[-1].code == EventCode.RUN_STOPPED
 
 
 def test_filters_and_mask_from_registers(small):

@@ -33,6 +33,7 @@ def test_unknown_names_are_refused():
         main(["camera-nothing"])
 
 
+@pytest.mark.slow
 def test_a_counter_that_wraps_is_found(prover, monkeypatch):
     class Wrapping(SaturatingCounter):
         def elaborate(self, platform):
@@ -47,6 +48,7 @@ def test_a_counter_that_wraps_is_found(prover, monkeypatch):
         prove(Proof("", "broken", CountersHarness, depth=2))
 
 
+@pytest.mark.slow
 def test_a_link_that_is_not_waited_for_is_found(prover, monkeypatch):
     class Hasty(FrameFormatter):
         def _buffer(self, m, reader, sealer):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from amaranth.hdl import Module, Value
@@ -310,6 +311,12 @@ class Prediction:
     levels: np.ndarray
     trains: list[Train]
     ignored: int
+
+    @property
+    def swaps(self) -> int:
+        """Trains of another bank than the one before them."""
+        banks = [train.choice.bank for train in self.trains]
+        return sum(a != b for a, b in pairwise(banks))
 
 
 def predictions(config: PulseConfig, trial: Trial, shot: Shot, /) -> Iterator[Prediction]:

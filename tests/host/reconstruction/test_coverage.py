@@ -1,0 +1,85 @@
+"""Stated uncertainty against what happens: intervals cover as often as they say."""
+
+import numpy as np
+import pytest
+
+import hueflight as hf
+from hueflight.errors import ImageError
+from hueflight.reconstruction.uncertainty import reflectance_interval
+from hueflight.simulator.spectra import band_weights, reflectance
+
+
+@pytest.fixture(scope="module")
+def calibrated(small, draw):
+    instrument = small(rows=40, cols=60)
+    reference = draw(instrument, photons=2000)
+    one_by_one = np.stack(
+        [draw(instrument, photons=500, reflectance=led, seed=n) for n, led in enumerate(np.eye(9))]
+    )
+    return instrument, hf.calibrate(reference, instrument, distance=0.5, bands=one_by_one)
+
+
+def colour_of(instrument, surface):
+    return band_weights(instrument) @ reflectance(surface)
+
+
+@pytest.mark.parametrize("surface", [1.0, "ink red", "ink blue"])
+@pytest.mark.parametrize("background", [0.1, 1.0])
+def test_depth(calibrated, draw, surface, background):
+    instrument, calibration = calibrated
+    counts = draw(
+        instrument, depth=0.9, photons=620, background=620 * background,
+        reflectance=colour_of(instrument, surface), seed=7,
+    )  # fmt: skip
+    image = hf.reconstruct(counts, calibration)
+    off = np.abs(image["depth"].values - 0.9) / image["depth_std"].values
+    # 2400 pixels: 68 ± 1 and 95 ± 0.45 %; four deviations, six tests: false alarm 4e-4
+    assert (off < 1.0).mean() == pytest.approx(0.683, abs=0.04)
+    assert (off < 1.96).mean() == pytest.approx(0.95, abs=0.018)
+
+
+@pytest.mark.parametrize("level", [0.6827, 0.95])
+@pytest.mark.parametrize(
+    ("surface", "total"), [(1.0, 620), ("ink red", 620), ("ink blue", 620), ("ink red", 200)]
+)
+def test_reflectance_in_dim_bands_too(calibrated, draw, surface, total, level):
+    instrument, calibration = calibrated
+    colour = colour_of(instrument, surface)
+    brightness = instrument.band_brightness()
+    photons = total * brightness * colour / (brightness @ colour)
+    counts = draw(
+        instrument, depth=0.9, photons=total, background=total / 10, reflectance=colour,
+        frames=2**30, seed=8,
+    )  # fmt: skip
+    image = hf.reconstruct(counts, calibration)
+    truth = colour * (total / (brightness @ colour)) / 2000 * brightness.sum() * (1e6 / 2**30)
+    low, high = reflectance_interval(image, level=level)
+    covered = ((low.values <= truth) & (truth <= high.values)).mean(axis=(0, 1))
+    told = photons > 3  # of fewer photons counts are too coarse to cover exactly: they cover more
+    assert told.sum() >= 8
+    # 2400 pixels, some 70 bands: 4.5 deviations for a false alarm of 5e-4; 1 % is what holds.
+    # Intervals of so many standard deviations cover 0.905 of 200 red photons, not 0.95.
+    noise = 4.5 * np.sqrt(level * (1 - level) / 2400)
+    assert np.abs(covered[told] - level).max() < 0.01 + noise
+    assert abs(covered[told].mean() - level) < 0.01 + noise / np.sqrt(told.sum())
+    assert (covered > level - 0.02 - noise).all()
+
+
+def test_intervals_nest_and_hold_the_estimate(calibrated, draw):
+    instrument, calibration = calibrated
+    image = hf.reconstruct(draw(instrument, depth=0.9, photons=100, background=50), calibration)
+    narrow, wide = (reflectance_interval(image, level=level) for level in (0.5, 0.99))
+    assert (wide[0] <= narrow[0]).all()
+    assert (narrow[1] <= wide[1]).all()
+    estimate = np.maximum(image["reflectance"].values, 0)
+    assert (wide[0].values <= estimate + 1e-9).all()
+    assert (wide[0] >= 0).all()
+
+
+def test_what_intervals_need(calibrated, draw):
+    instrument, calibration = calibrated
+    counts = draw(instrument, photons=500)
+    with pytest.raises(ImageError, match="level = 95: must lie between 0 and 1"):
+        reflectance_interval(hf.reconstruct(counts, calibration), level=95)
+    with pytest.raises(ImageError, match="reconstruct with method='joint'"):
+        reflectance_interval(hf.reconstruct(counts, calibration, method="paper"))

@@ -59,9 +59,11 @@ def bus(tmp_path: Path, model: CameraModel) -> Iterator[Any]:
 
     require_packages()
     made = UsbfsBus(tmp_path / "bus", EmulatedCamera(model))
-    made.plug()
-    yield made
-    made.close()
+    try:
+        made.plug()
+        yield made
+    finally:
+        made.close()
 
 
 @pytest.fixture
@@ -78,6 +80,8 @@ def start_daemon(bus: Any, tmp_path: Path, instrument_file: Path) -> Iterator[Ca
         started.append(Daemon(config, bus.environment))
         return started[-1]
 
-    yield start
-    for daemon in started:
-        daemon.end(signal.SIGKILL)
+    try:
+        yield start
+    finally:
+        for daemon in started:
+            daemon.end(signal.SIGKILL)

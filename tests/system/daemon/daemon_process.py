@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from lines import Lines
+
 PATIENCE_S = 90.0
 
 
@@ -32,14 +34,20 @@ class Daemon:
         self.process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(config), "--json-logs"],
             env=os.environ | environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
         )
         assert self.process.stderr is not None
-        first = self.process.stderr.readline()
-        if not first.startswith("{"):
-            _, rest = self.process.communicate(timeout=PATIENCE_S)
-            raise AssertionError(first + rest)
+        self._log = Lines(self.process.stderr)
+        try:
+            first = self._log.next(PATIENCE_S)
+            if not first.startswith("{"):
+                raise AssertionError(first)
+        except AssertionError as error:
+            _, rest = self.end(signal.SIGKILL)
+            raise AssertionError(f"no daemon: {error}{rest}") from None
         self.url = json.loads(first)["url"].rstrip("/")
 
     def get(self, path: str) -> Any:
@@ -61,5 +69,13 @@ class Daemon:
         """Signal it, wait for its end; exit code and log."""
         if self.process.poll() is None:
             self.process.send_signal(number)
-        _, log = self.process.communicate(timeout=PATIENCE_S)
-        return self.process.returncode, log
+        try:
+            code = self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(PATIENCE_S)
+            log = self._log.rest(PATIENCE_S)
+            raise AssertionError(
+                f"the daemon did not end within {PATIENCE_S:g} s:\n{log}"
+            ) from None
+        return code, self._log.rest(PATIENCE_S)

@@ -17,7 +17,7 @@ from hueflight.devices import CameraModel
 from hueflight.recording import open_recording, recover
 
 Start = Callable[[], Daemon]
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
 
 def test_the_camera_comes_and_goes(start_daemon: Start, bus: Any, model: CameraModel) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from daemon_process import Daemon, until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 
 
 def test_schemathesis_finds_nothing(start_daemon: Callable[[], Daemon], tmp_path: Path) -> None:

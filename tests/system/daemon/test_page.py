@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import open_browser, require_chromium
 from daemon_process import PATIENCE_S, Daemon, until
 
 from hueflight.devices import CameraModel, FrameBank
 from hueflight.recording import open_recording
 
 Start = Callable[[], Daemon]
-pytestmark = pytest.mark.slow
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-FLAGS = [
-    "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
-    "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-]  # fmt: skip
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 DEPTH_IS_A_PICTURE = """() => {
   const canvas = document.getElementById("plane"), gl = canvas.getContext("webgl2");
   const pixels = new Uint8Array(4 * canvas.width * canvas.height);
@@ -36,24 +29,19 @@ DEPTH_IS_A_PICTURE = """() => {
 
 
 @pytest.fixture
-def page(start_daemon: Start) -> Iterator[Any]:
+def page(start_daemon: Start, tmp_path: Path) -> Iterator[Any]:
     """The page of a running daemon; errors in its console fail the test."""
-    if CHROMIUM is None:
-        if os.environ.get("CI"):
-            pytest.fail("the page's tests need the Debian package chromium")
-        pytest.skip("the page's tests need the Debian package chromium")
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    require_chromium()
     daemon = start_daemon()
-    with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        opened = browser.new_page(viewport={"width": 1280, "height": 860}, color_scheme="dark")
+    with open_browser(tmp_path / "profile") as browser:
+        context = browser.new_context(viewport={"width": 1280, "height": 860}, color_scheme="dark")
+        opened = context.new_page()
         opened.set_default_timeout(PATIENCE_S * 1e3)
         failures: list[str] = []
         opened.on("pageerror", lambda error: failures.append(str(error)))
         opened.goto(daemon.url)
         opened.daemon = daemon
         yield opened
-        browser.close()
     assert not failures
 
 
@@ -109,6 +97,10 @@ def test_a_session_at_the_instrument(
     with open_recording(tmp_path / f"data/recordings/{name}.mcap") as recording:
         assert recording.info().as_dict()["report"]["frames"] > 200
 
+    wait("#state", "live")
+    page.wait_for_selector("#stale", state="hidden")
+    before = page.daemon.status()["totals"]["delivered"]
+    until(lambda: page.daemon.status()["totals"]["delivered"] > before, "the live run is on")
     bus.unplug()
     wait("#state", "no camera")
     wait("#stale", "No camera.")
@@ -117,6 +109,7 @@ def test_a_session_at_the_instrument(
     wait("#state", "live")
     page.wait_for_selector("#stale", state="hidden")
     wait("#gap-count", "1")
+    assert page.is_hidden("#problem")
     assert "bad" in page.get_attribute("#f-lost", "class")
 
     page.keyboard.press(" ")

@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from emulated_camera import EmulatedCamera
 from emulation import require_packages
+from lines import Lines
 from usbfs import UsbfsBus
 
 PATIENCE_S = 60
@@ -47,9 +48,11 @@ def bus(tmp_path: Path, model: CameraModel) -> Iterator[UsbfsBus]:
     """A bus with the model plugged in."""
     require_packages()
     made = UsbfsBus(tmp_path / "bus", EmulatedCamera(model))
-    made.plug()
-    yield made
-    made.close()
+    try:
+        made.plug()
+        yield made
+    finally:
+        made.close()
 
 
 class Client:
@@ -66,11 +69,12 @@ class Client:
             stdout=subprocess.PIPE,
             text=True,
         )
+        assert self._process.stdout is not None
+        self._lines = Lines(self._process.stdout)
 
     def hear(self) -> Any:
         """What the program says next."""
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
+        line = self._lines.next(PATIENCE_S)
         assert line, f"the program ended with {self._process.wait(PATIENCE_S)}"
         return json.loads(line)
 
@@ -82,14 +86,14 @@ class Client:
 
     def end(self) -> None:
         """Wait for its end."""
-        if self._process.poll() is None:
-            try:
-                self._process.wait(PATIENCE_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                stream.close()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        try:
+            self._process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait(PATIENCE_S)
+        self._lines.rest(PATIENCE_S)
 
 
 PRELUDE = """
@@ -120,6 +124,8 @@ def run_client(bus: UsbfsBus, instrument: hf.Instrument) -> Iterator[Callable[[s
         clients.append(Client(bus, program, instrument))
         return clients[-1]
 
-    yield start
-    for client in clients:
-        client.end()
+    try:
+        yield start
+    finally:
+        for client in clients:
+            client.end()

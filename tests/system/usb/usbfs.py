@@ -49,6 +49,7 @@ CAPABILITIES = 0x01 | 0x04 | 0x08 | 0x10  # zero packet, no size limit, scatter,
 SUPER_SPEED = 5
 PIPE_BYTES = 4096
 PUMP_S = 0.002
+CLOSE_S = 30
 AFTER_UNPLUG = ("reap", "discard", "release")
 
 
@@ -180,7 +181,8 @@ class UsbfsBus:
     def close(self) -> None:
         """End of the emulation."""
         self._stop.set()
-        self._pump.join()
+        self._pump.join(CLOSE_S)
+        assert not self._pump.is_alive(), f"the emulated bus still works after {CLOSE_S} s"
         self.unplug()
 
     def _write_sysfs(self, node: str, minor: int) -> None:
@@ -226,7 +228,7 @@ class UsbfsBus:
                 contextlib.suppress(OSError),
             ):
                 sock.connect(str(path))
-                sock.send(header + body)
+                sock.send(header + body, socket.MSG_DONTWAIT)
 
     # -- ioctls -------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@
 #include "_crc32c.h"
 #include "_scan.h"
 #include "_rows.h"
+#define CODE_WIDTHS(X) X(1) X(2) X(4) X(7) X(8) X(9) X(13) /* those of GEOMETRIES */
 #include "_count.h"
 
 enum { OPTIONS = 4, OTHERS = 3 };

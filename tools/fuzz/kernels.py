@@ -2,9 +2,10 @@
 
     python3 tools/dev.py run python tools/fuzz/kernels.py --seconds 60
 
-Needs clang. New inputs go to build/fuzz/kernels; ``--minimize`` keeps those in
-tools/fuzz/corpus.zip that between them reach everything that any input reaches. A finding ends the
-run with its input and a trace.
+Needs clang. A run starts from whole packets and tools/fuzz/corpus.zip; with ``--inputs`` it goes on
+from a folder of inputs, and leaves there what it finds. ``--minimize`` then keeps those in
+corpus.zip that between them reach everything that any input reaches. A finding ends the run with
+its input and a trace.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
@@ -39,7 +41,15 @@ def build() -> Path:
     program = BUILD / "fuzz-kernels"
     sanitizers = ["-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all"]
     unsafe = "-DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION"  # lets every CRC pass
-    command = ["clang", "-g", "-O2", unsafe, *sanitizers, f"-I{HEADERS}", str(SOURCE)]
+    command = [
+        "clang",
+        "-gline-tables-only",
+        "-O1",
+        unsafe,
+        *sanitizers,
+        f"-I{HEADERS}",
+        str(SOURCE),
+    ]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program
 
@@ -76,24 +86,19 @@ def write_seeds(folder: Path) -> None:
                     number += 1
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=int, default=60, help="how long to look for more")
-    parser.add_argument("--minimize", action="store_true", help="keep what matters in the corpus")
-    arguments = parser.parse_args()
-    program = build()
-    found = BUILD / "kernels"
+def fuzz(program: Path, found: Path, seconds: int, minimize: bool) -> None:
+    """Look for more inputs for so many seconds; then keep what matters in the corpus."""
     write_seeds(found)
     if CORPUS.exists():
         with ZipFile(CORPUS) as kept:
             kept.extractall(found)
     limits = [f"-max_len={LONGEST}", "-use_value_profile=1", "-print_final_stats=1"]
-    if arguments.seconds:
-        time = f"-max_total_time={arguments.seconds}"
+    if seconds:
+        time = f"-max_total_time={seconds}"
         artifacts = f"-artifact_prefix={BUILD}/"
         command = [program, time, *limits, artifacts, found]
         subprocess.run([str(word) for word in command], check=True)
-    if arguments.minimize:
+    if minimize:
         fresh = BUILD / "minimal"
         shutil.rmtree(fresh, ignore_errors=True)
         fresh.mkdir()
@@ -104,6 +109,20 @@ def main() -> None:
             for file in files:
                 kept.writestr(ZipInfo(file.name), file.read_bytes(), ZIP_DEFLATED)
         print(f"{len(files)} inputs kept in {CORPUS}, {CORPUS.stat().st_size} bytes")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=int, default=60, help="how long to look for more")
+    parser.add_argument("--inputs", type=Path, help="folder that inputs are taken from and put to")
+    parser.add_argument("--minimize", action="store_true", help="keep what matters in the corpus")
+    arguments = parser.parse_args()
+    program = build()
+    if arguments.inputs is None:
+        with tempfile.TemporaryDirectory() as folder:
+            fuzz(program, Path(folder), arguments.seconds, arguments.minimize)
+    else:
+        fuzz(program, arguments.inputs, arguments.seconds, arguments.minimize)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,10 @@
  *
  * Counting frame by frame scatters into a table that no cache holds. Here the counters of 64
  * pixels stay in the cache while all frames of a block pass by, and go to the table once. */
+#ifndef CODE_WIDTHS /* a fuzzer compiles those that it uses */
+#define CODE_WIDTHS(X) \
+    X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13) X(14) X(15) X(16)
+#endif
 enum {
     TILE = 64,    /* pixels counted at a time */
     LINE = 64,    /* bytes that come into the cache together */
@@ -248,7 +252,7 @@ INLINE int count_any(Count *count, size_t chunk, const int fast)
 {
     switch (count->code_bits) {
 #define X(n) case n: return count_chunk(count, chunk, n, fast);
-    X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13) X(14) X(15) X(16)
+    CODE_WIDTHS(X)
 #undef X
     }
     return 0;

@@ -39,7 +39,7 @@ from hueflight.reconstruction.pooling import (
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.slots import Tables, tables_for
 
-LAG_NS = 2.0  #: between delays of the pilot
+LAG_PER_FWHM = 0.28  #: between delays of the pilot, in pulses of the shortest band
 PILOT_PHOTONS = 300.0  #: in the square of the pilot
 PILOT_REACHES = (1, 2, 3, 4, 6, 9, 13)  #: squares of 2·reach + 1 pixels
 SIGHT_PHOTONS = 150.0  #: that neighbours of the same colour must hold to be better
@@ -50,7 +50,7 @@ ENOUGH = 1000.0  #: photons that a pool is closed with
 PRIOR_PIXELS = 0.15  #: so many pixels of the image's mean count in every pool
 FLOOR = 0.01  #: of a pool's photons: least amplitude and background in the weights
 TINY = np.float32(1e-12)  #: keeps pools without a photon from dividing by 0
-STEP_NS = 1.5  #: that scoring may move a delay by
+STEP_PER_FWHM = 0.21  #: that scoring may move a delay by
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def estimate(
         raise HueflightError(f"enough = {enough!r}: must be above 0 photons")
     search_ns = joint.search_range_ns(calibration, depth_range)
     tables = tables_for(calibration, search_ns)
-    seen = _photons(counts, calibration, tables)
+    seen = photons_of(counts, calibration, tables)
     shape = counts.shape[:2]
     own = seen.sums(seen.weights).reshape(shape)
     sight = _sight(seen, shape, tables, search_ns)
@@ -143,7 +143,7 @@ def estimate(
     return replace(pooled, **merged, resolution=np.where(sufficient, 1.0, resolution))
 
 
-def _photons(counts: NDArray[np.generic], calibration: Calibration, tables: Tables) -> Photons:
+def photons_of(counts: NDArray[np.generic], calibration: Calibration, tables: Tables) -> Photons:
     """Photons of all usable pixels; of the others none."""
     bins = calibration.bins
     times_ns = np.full(counts.shape[-1], -1.0, np.float32)
@@ -191,8 +191,9 @@ def _sight(
         background = float(np.clip(dark / max(seen.weights.sum(), 1), 0.02, 0.9))
     model = (tables.shares @ tables.white) * (1 - background) + background / tables.period_ns
     table = np.log(model * tables.period_ns).astype(np.float32)
-    first, last = np.floor(search_ns[0] / LAG_NS), np.ceil(search_ns[1] / LAG_NS)
-    lags = (np.arange(first, last + 1) * round(LAG_NS * tables.cells_per_ns)).astype(np.int32)
+    stride = max(1, round(LAG_PER_FWHM * tables.fwhm_ns * tables.cells_per_ns))
+    first, last = (bound * tables.cells_per_ns / stride for bound in search_ns)
+    lags = (np.arange(np.floor(first), np.ceil(last) + 1) * stride).astype(np.int32)
     likelihood = lag_likelihood(seen, table, tables.cells_per_ns, lags)
     return _Sight(likelihood.reshape(*shape, lags.size), lags / tables.cells_per_ns)
 
@@ -298,7 +299,7 @@ def _pools(
         like = _likeness(pools, slots, usable, tables)
         found = pool(data, len(slots), usable, active, like, radius, LIMITS, threads=threads)
         last = radius == RADII[-1]
-        pools, active = _closed(pools, active, found, search_ns, enough, last=last)
+        pools, active = _closed(pools, active, found, tables, search_ns, enough, last=last)
         if not active.any():
             break
     return pools
@@ -360,6 +361,7 @@ def _closed(
     pools: _Pools,
     active: NDArray[np.bool_],
     found: Pooled,
+    tables: Tables,
     search_ns: tuple[float, float],
     enough: float,
     *,
@@ -374,7 +376,8 @@ def _closed(
     depth_pixels = level**2 / np.maximum(found.depth_squares, TINY)
     closing = active & (last | (mean.sum(axis=0) * pixels >= enough))
     step = moment / np.maximum(information, TINY) - pools.delays_ns
-    moved = pools.delays_ns + np.clip(step, -STEP_NS, STEP_NS)
+    most_ns = STEP_PER_FWHM * tables.fwhm_ns
+    moved = pools.delays_ns + np.clip(step, -most_ns, most_ns)
     moved = np.clip(moved, search_ns[0], search_ns[1])
     # Σ w² I / (Σ w I)², for neighbours that tell about as much
     variances = found.depth_squares / level / np.maximum(information, TINY)

@@ -12,7 +12,7 @@ from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.reconstruction.pooling import Floats
 
-CELL_NS = 0.08  #: of the tables
+CELLS_PER_FWHM = 90  #: of the shortest pulse
 COLOURS = 2  #: groups of bands by wavelength that tell neighbours apart
 LIT = 0.02  #: of its peak: where a pulse is weaker, the slot is background's
 
@@ -24,6 +24,7 @@ class Tables:
     Attributes
     ----------
     period_ns, cells_per_ns : the circle and its cells.
+    fwhm_ns : of the shortest pulse.
     shares, slopes : (cell, band) light per ns and its derivative by time.
     white : (band,) share of each in the light of a white target.
     slots : (cell,) band whose pulse is strongest there, or one more for the background.
@@ -34,6 +35,7 @@ class Tables:
 
     period_ns: float
     cells_per_ns: float
+    fwhm_ns: float
     shares: Floats
     slopes: Floats
     white: NDArray[np.float64]
@@ -66,7 +68,8 @@ def _make_tables(calibration: Calibration, search_ns: tuple[float, float]) -> Ta
             f"instrument {calibration.instrument.name!r} has no period: pooling of photons is "
             "for trains of pulses; use method='joint'"
         )
-    cells = int(np.ceil(period_ns / CELL_NS))
+    fwhm_ns = min(band.pulse_fwhm_ns for band in calibration.instrument.bands)
+    cells = int(np.ceil(CELLS_PER_FWHM * period_ns / fwhm_ns))
     cell_ns = period_ns / cells
     middles_ns = (np.arange(cells) + 0.5) * cell_ns
     shares = calibration.templates.density(middles_ns).T
@@ -90,6 +93,7 @@ def _make_tables(calibration: Calibration, search_ns: tuple[float, float]) -> Ta
     return Tables(
         period_ns=period_ns,
         cells_per_ns=1 / cell_ns,
+        fwhm_ns=fwhm_ns,
         shares=shares.astype(np.float32),
         slopes=slopes.astype(np.float32),
         white=white,

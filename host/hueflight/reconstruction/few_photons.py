@@ -43,7 +43,7 @@ LAG_PER_FWHM = 0.28  #: between delays of the pilot, in pulses of the shortest b
 PILOT_PHOTONS = 300.0  #: in the square of the pilot
 PILOT_REACHES = (1, 2, 3, 4, 6, 9, 13)  #: squares of 2·reach + 1 pixels
 SIGHT_PHOTONS = 150.0  #: that neighbours of the same colour must hold to be better
-SIGHT_RADII = (1.5, 3.0, 6.0)  #: of the rounds by colour alone, in pixels
+SIGHT_RADII = (3.0, 6.0)  #: of the rounds by colour alone, in pixels
 RADII = (1.5, 3.0, 6.0, 14.0)  #: of the rounds by colour and depth
 LIMITS = Limits(colour=10.0, depth_colour=15.0, depth=12.0)
 ENOUGH = 1000.0  #: photons that a pool is closed with

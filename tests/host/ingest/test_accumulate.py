@@ -201,6 +201,30 @@ def test_saturating_says_what_it_let_go(kernels: Kernels, nearly_full: Any, coun
     assert not report.lossless
 
 
+@pytest.mark.parametrize("policy", ["saturate", "widen"])
+def test_any_counter_may_be_full(
+    kernels: Kernels, small: Make, random_codes: Make, counted: Make, policy: Any
+) -> None:
+    """Code 0 too, which gets the frames without a photon."""
+    rng = np.random.default_rng(9)
+    instrument = small(rows=16, cols=16)
+    for occupancy in (0.02, 0.5, 1.0):
+        codes = random_codes(rng, (20, 16, 16), code_bits=9, occupancy=occupancy)
+        packets = b"".join(
+            encode_frame(frame, sequence=i, frame=i, timestamp=i, run=128)
+            for i, frame in enumerate(codes)
+        )
+        out = rng.integers(65500, 65536, instrument.histogram_shape).astype(np.uint16)
+        exact = out + counted(codes, 9).astype(np.uint32)
+        counts, report = accumulate(packets, instrument, out=out, overflow=policy, kernels=kernels)
+        if policy == "widen":
+            np.testing.assert_array_equal(counts, exact)
+        else:
+            np.testing.assert_array_equal(counts, np.minimum(exact, 65535))
+            assert report.clipped == exact.sum() - counts.sum(dtype=np.uint64)
+        assert report.photons == np.count_nonzero(codes)
+
+
 def test_32_bits_overflow_too(kernels: Kernels, nearly_full: Any) -> None:
     instrument, out, packets, _ = nearly_full
     wide = out.astype(np.uint32)

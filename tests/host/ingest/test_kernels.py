@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.kernels import ADD, STATE, TILE, Kernels, Scanned
-from hueflight_protocol import Frame, PacketParser, encode_frame
+from hueflight_protocol import (
+    Event,
+    Frame,
+    PacketHeader,
+    PacketParser,
+    encode_event,
+    encode_frame,
+)
 
 BACKENDS = backends.available()
 REPORTED = (
@@ -107,6 +114,52 @@ def test_compiled_and_numpy_say_the_same(
     data = damaged(data, changes)
     compiled = through(BACKENDS["c"], data, *geometry, final=final, limit=limit)
     numpy = through(BACKENDS["numpy"], data, *geometry, final=final, limit=limit)
+    assert compiled[0] == numpy[0]
+    np.testing.assert_array_equal(compiled[1], numpy[1])
+
+
+@pytest.mark.skipif("c" not in BACKENDS, reason="no compiled kernels here")
+@settings(deadline=None, max_examples=40)
+@given(
+    geometry=st.tuples(st.integers(1, 6), st.integers(1, 24), st.integers(1, 12)),
+    seed=st.integers(0, 1 << 32),
+    changes=edits,
+    limit=st.sampled_from([1, 30, 100]),
+)
+def test_long_streams_are_walked_the_same(
+    geometry: tuple[int, int, int],
+    seed: int,
+    changes: list[tuple[str, int, bytes]],
+    limit: int,
+) -> None:
+    """The twin walks many frames side by side, and must see all that is unusual among them."""
+    rows, cols, code_bits = geometry
+    rng = np.random.default_rng(seed)
+    packets: list[bytes] = []
+    for i in range(60):
+        codes = rng.integers(1, 1 << code_bits, (rows, cols)).astype(np.uint16)
+        codes[rng.random(codes.shape) >= rng.choice([0.0, 0.3, 1.0])] = 0
+        odd = int(rng.integers(30))
+        packets.append(
+            encode_frame(
+                codes,
+                sequence=i + (5 if odd == 1 else 0),
+                frame=i,
+                timestamp=i,
+                code_bits=code_bits,
+                run=16 if odd == 2 else 64,
+                dropped=i // 7,
+                capture=i // 40,
+                abort_at=0 if odd == 3 else None,
+            )
+        )
+        if odd == 4:
+            packets.append(packets[-1])
+        if odd == 5:
+            packets.append(encode_event(Event(PacketHeader(sequence=i + 1), code=5)))
+    data = damaged(b"".join(packets), changes)
+    compiled = through(BACKENDS["c"], data, *geometry, final=True, limit=limit)
+    numpy = through(BACKENDS["numpy"], data, *geometry, final=True, limit=limit)
     assert compiled[0] == numpy[0]
     np.testing.assert_array_equal(compiled[1], numpy[1])
 

@@ -2,40 +2,62 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Assert, Module, Mux, Signal, Value
-from amaranth.lib import wiring
+from dataclasses import dataclass
+
+from amaranth.hdl import Assert, Cat, Module, Mux, Signal, Value
+from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In
 
 from hueflight_protocol.wire import ChunkKind, TrailerStatus, dense_bytes
 
 from ..frame.crc import PacketCrc
 from ..frame.filter import FILTER_LAYOUT, MASK_WORD
-from ..frame.format import INFO_LAYOUT, FrameFormat
+from ..frame.format import GROUP, INFO_LAYOUT, FrameFormat
 from ..frame.formatter import MIN_BUFFER_WORDS, FrameFormatter
 from ..frame.header import HEADER_WORDS
 from ..frame.reader import PieceReader
 from ..frame.seal import SEALED_LAYOUT, PacketSealer
+from ..frame.store import WORD_BYTES
 
 SMALL = FrameFormat(rows=1, cols=16, code_bits=5, lanes=8, run=8, banks=2)
 """One beat a chunk, chunks of both kinds, of half words and of whole ones; two banks."""
 
 
-class OpenFormatter(FrameFormatter):
-    """A formatter with nothing behind its words: there is room for one in any clock, or none.
+@dataclass(frozen=True)
+class Fetched:
+    """What comes from the memories of chunks."""
 
-    That is more than any buffer and link do, so what holds here holds with them.
+    dense: Signal
+    hits: Signal
+    bitmap: Signal
+
+
+class OpenFormatter(FrameFormatter):
+    """A formatter with nothing behind its words, and anything in its memories of chunks.
+
+    There is room for a word in any clock or none, and what is fetched of a chunk is any bytes.
+    That is more than any buffer, link and memory do, so what holds here holds with them.
 
     Members
     -------
-    has_room, valid, word
-        Set from outside; words before they are sealed.
+    has_room, fetched
+        Set from outside.
+    valid, word
+        Words before they are sealed.
     """
 
     def __init__(self, form: FrameFormat) -> None:
         super().__init__(form, buffer_words=MIN_BUFFER_WORDS)
         self.has_room = Signal()
+        codes = form.codes_layout(GROUP)
+        self.fetched = Fetched(Signal(codes), Signal(codes), Signal(8 * WORD_BYTES))
         self.valid = Signal()
         self.word = Signal(SEALED_LAYOUT)
+
+    def _words(
+        self, m: Module, reader: PieceReader, store: object, info: data.View
+    ) -> PacketSealer:
+        return super()._words(m, reader, self.fetched, info)
 
     def _buffer(self, m: Module, reader: PieceReader, sealer: PacketSealer) -> None:
         m.d.comb += [
@@ -65,6 +87,7 @@ class FormatterHarness(wiring.Component):
                 "filters": In(FILTER_LAYOUT),
                 "mask": In(MASK_WORD),
                 "take": In(1),
+                "fetched": In(2 * GROUP * form.code_bits + 8 * WORD_BYTES),
             }
         )
 
@@ -113,7 +136,11 @@ class OpenHarness(FormatterHarness):
 
     def elaborate(self, platform: object) -> Module:
         m = super().elaborate(platform)
-        m.d.comb += self.formatter.has_room.eq(self.take)
+        fetched = self.formatter.fetched
+        m.d.comb += [
+            self.formatter.has_room.eq(self.take),
+            Cat(fetched.dense, fetched.hits, fetched.bitmap).eq(self.fetched),
+        ]
         return m
 
 

@@ -29,6 +29,8 @@ from hueflight.reconstruction.pileup import lost_photons_factor, photons_per_per
 from hueflight.reconstruction.resolution import resolved
 from hueflight.timebins import TimeBins
 
+HOT_IN_FLAT = 2.0  #: times the median count under steady light that only a hot pixel reaches
+
 
 def calibrate(
     reference: ArrayLike,
@@ -74,8 +76,7 @@ def calibrate(
     exposures = frames_per_pixel(counts, instrument, frames)
     bins = instrument.time_bins()
     if flat is not None:
-        flat_counts = check_histogram(flat, instrument, name="flat")
-        bins = bins.with_widths(measured_widths(bins.in_time_order(flat_counts), bins))
+        bins = bins.with_widths(measured_widths(_steady_light(flat, instrument, bins), bins))
     light = bins.in_time_order(counts).astype(np.float32)
     photons = light.sum(axis=-1, dtype=np.float64)
     if not photons.any():
@@ -158,6 +159,25 @@ def measured_widths(flat: NDArray[Any], bins: TimeBins) -> NDArray[np.float64]:
             f"{100 * density.size} are needed to measure {density.size} bins: capture longer"
         )
     return density / density.sum() * bins.span_ns
+
+
+def _steady_light(flat: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.float32]:
+    """Counts (pixel, bin) under steady light of the pixels that follow it.
+
+    Hot pixels don't: they fire soon after the exposure opens, whatever the light. They have far
+    more counts than others, or one in every exposure.
+    """
+    counts = check_histogram(flat, instrument, name="flat")
+    light = bins.in_time_order(counts).astype(np.float32)
+    photons = light.sum(axis=-1, dtype=np.float64)
+    if not photons.any():
+        return light.reshape(-1, bins.count)
+    frames = frames_per_pixel(counts, instrument, None)
+    steady = photons <= HOT_IN_FLAT * np.median(photons[photons > 0])
+    if frames is not None:
+        steady &= photons < frames
+        light = unshadowed(light, photons_per_period(photons, frames, instrument))
+    return light[steady] if steady.any() else light.reshape(-1, bins.count)
 
 
 def _arrived(

@@ -17,6 +17,7 @@ from .build_report import (
     read_cells,
     read_clocks,
 )
+from .clock_names import rename_clocks
 from .toolchain import TOOLS, require_tool, run_tool
 
 NAME = "top"
@@ -80,6 +81,7 @@ def build(
     synthesise, route, pack = prepare(target, folder)
     progress(f"synthesis of {target.design} for {target.board}")
     run_tool(*synthesise, cwd=folder)
+    rename_clocks(folder, NAME, target.family)
     tried: dict[int, dict[str, ClockResult]] = {}
     best = seeds[0]
     for seed in seeds:
@@ -118,7 +120,8 @@ def prepare(target: Target, folder: Path, /) -> list[list[str]]:
     """Write a target's sources, constraints and scripts; return the tools to run, in order."""
     folder.mkdir(parents=True, exist_ok=True)
     options = {
-        "nextpnr_opts": "--report nextpnr.json --timing-allow-fail",
+        "nextpnr_opts": "--report nextpnr.json --timing-allow-fail"
+        + (" --tmg-ripup" if target.family == "ecp5" else ""),
         **({"ecppack_opts": "--compress"} if target.family == "ecp5" else {}),
         **target.options,
     }

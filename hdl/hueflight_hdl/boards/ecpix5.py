@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from amaranth.build import Attrs, Pins, Platform, Resource
-from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Module, Signal
+from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance, Module, Signal
 from amaranth.lib import io
 from amaranth.lib.cdc import ResetSynchronizer
 from amaranth.lib.wiring import connect
@@ -81,7 +81,9 @@ class _UsbClock(Elaboratable):
         with m.If(left != 0):
             m.d.sync += left.eq(left - 1)
         m.d.sync += [waiting.eq(left != 0), self.reset.eq(left >= _PHY_CLOCKS)]
-        m.d.comb += ClockSignal("usb").eq(self.clock)
+        m.submodules.clock = Instance(
+            "DCCA", i_CLKI=self.clock, i_CE=Const(1), o_CLKO=ClockSignal("usb")
+        )
         m.submodules.reset = ResetSynchronizer(waiting, domain="usb")
         return m
 

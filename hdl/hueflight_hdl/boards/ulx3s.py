@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from amaranth.build import Attrs, Pins, Platform, Resource, Subsignal
-from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Module
+from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance, Module
 from amaranth.lib import io
 from amaranth.lib.wiring import connect
 from amaranth_boards.ulx3s import ULX3S_85F_Platform
@@ -102,9 +102,11 @@ class Ft601Camera(Elaboratable):
         platform.add_clock_constraint(ft.clk, FT_HZ * AIM)
         m.submodules.link = link = Ft601Link()
         m.submodules.serial = serial = SerialLink(clock_hz=CAMERA_HZ, baud=_BAUD)
+        m.submodules.ft_clock = Instance(
+            "DCCA", i_CLKI=input_of(m, "clk", pins.clk), i_CE=Const(1), o_CLKO=ClockSignal("ft")
+        )
         uart = platform.request("uart", 0, dir="-")
         m.d.comb += [
-            ClockSignal("ft").eq(input_of(m, "clk", pins.clk)),
             link.txe_n.eq(input_of(m, "txe_n", pins.txe_n)),
             serial.rx.eq(input_of(m, "rx", uart.rx)),
         ]

@@ -11,8 +11,9 @@ from cyclopts import Parameter
 from rich.live import Live
 from rich.table import Table
 
-from hueflight.capture.acquisition import Acquisition, Snapshot
+from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan
+from hueflight.capture.snapshot import Snapshot
 from hueflight.capture.summary import write_summary
 from hueflight.cli.app import app, errors
 from hueflight.cli.output import show

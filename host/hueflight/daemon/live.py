@@ -10,8 +10,10 @@ import asyncio
 import contextlib
 import time
 from collections import OrderedDict
+from dataclasses import replace
 
 import msgspec
+import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from hueflight.daemon.guard import PROTOCOL
@@ -24,6 +26,7 @@ SEND_TIMEOUT_S = 15.0  #: a viewer that takes nothing for so long is let go
 SHOWN_TIMEOUT_S = 5.0  #: a viewer that never says "shown" gets a picture this often
 MESSAGES_PER_S = 200  #: from a viewer; more is an attack
 _REMEMBERED = 64
+_NOTHING = np.empty(0, np.uint16)
 
 
 class Shown(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -47,22 +50,23 @@ class Hub:
         self._viewers: set[Viewer] = set()
         self._message = b""
         self._number = 0
-        self._received: OrderedDict[int, float] = OrderedDict()
+        self._sent: OrderedDict[int, Picture] = OrderedDict()
 
     def publish(self, picture: Picture, message: bytes) -> None:
         """Offer a picture to all viewers."""
         self._message, self._number = message, picture.number
-        self._received[picture.number] = picture.received_s
-        while len(self._received) > _REMEMBERED:
-            self._received.popitem(last=False)
+        # of what has been sent only the times matter; its arrays would hold much memory
+        self._sent[picture.number] = replace(picture, counts=_NOTHING, photons=_NOTHING, image=None)
+        while len(self._sent) > _REMEMBERED:
+            self._sent.popitem(last=False)
         for viewer in self._viewers:
             viewer.offer(picture.number, message)
 
     def shown(self, number: int) -> None:
         """A viewer has a picture on its screen."""
-        received_s = self._received.get(number)
-        if received_s is not None:
-            self._service.latencies_s.append(time.monotonic() - received_s)
+        picture = self._sent.get(number)
+        if picture is not None:
+            self._service.latencies.shown(picture, time.monotonic())
 
     async def serve(self, socket: WebSocket) -> None:
         """Serve one viewer until it leaves."""

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
-from hueflight.capture.acquisition import LiveBlock
+from hueflight.capture.snapshot import LiveBlock
 from hueflight.errors import HueflightError
 from hueflight.ingest.table import Counts
 from hueflight.instrument import Instrument
@@ -44,7 +44,8 @@ class Picture:
     photons : (row, col).
     frames : behind it.
     device_s : device clock at the start of its last exposure, seconds.
-    received_s, ready_s : monotonic clock when its last photon had arrived, and when it was done.
+    received_s, begun_s, ready_s : monotonic clock when its last photon had arrived, when work on
+        it began, and when it was done.
     """
 
     number: int
@@ -55,6 +56,7 @@ class Picture:
     frames: int
     device_s: float
     received_s: float
+    begun_s: float
     ready_s: float
 
 
@@ -94,9 +96,8 @@ class Pictures:
         self.made = self.skipped = 0
         self.problem = ""
         self._on_picture = on_picture
-        self._window: deque[LiveBlock] = deque()
-        self._window_blocks = window_blocks
-        self._fresh = False
+        self._waiting: deque[LiveBlock] = deque()
+        self._window = _Window(window_blocks)
         self._changed = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
@@ -105,19 +106,12 @@ class Pictures:
     def offer(self, block: LiveBlock, /) -> None:
         """Take a histogram; never blocks."""
         with self._changed:
-            if self._window and self._window[-1].run != block.run:
-                self._empty()
-            self._window.append(block)
-            while len(self._window) > self._window_blocks:
-                self._window.popleft().give_back()
-            if self._fresh:
+            self._waiting.append(block)
+            if len(self._waiting) > 1:
                 self.skipped += 1
-            self._fresh = True
+            while len(self._waiting) > self._window.blocks:  # would fall out of the sum at once
+                self._waiting.popleft().give_back()
             self._changed.notify()
-
-    def _empty(self) -> None:
-        while self._window:
-            self._window.popleft().give_back()
 
     def close(self) -> None:
         """End the thread."""
@@ -129,30 +123,20 @@ class Pictures:
     def _work(self) -> None:
         while True:
             with self._changed:
-                if not self._fresh and not self._closing:
+                if not self._waiting and not self._closing:
                     self._changed.wait(_WAIT_S)
                 if self._closing:
                     return
-                if not self._fresh:
-                    continue
-                self._fresh = False
-                blocks = list(self._window)
-                counts = self._add(blocks)
-            self._make(blocks[-1], counts, sum(live.block.frames for live in blocks))
+                blocks = list(self._waiting)
+                self._waiting.clear()
+            if not blocks:
+                continue
+            begun_s = time.monotonic()
+            for live in blocks:
+                self._window.add(live)
+            self._make(blocks[-1], self._window.counts(), self._window.frames, begun_s)
 
-    def _add(self, blocks: list[LiveBlock]) -> Counts:
-        """Sum of histograms in an array of our own: theirs serve again meanwhile."""
-        # one LED at a time: the one that fires now
-        parts = [live.block.counts[max(live.block.counts)] for live in blocks]
-        frames = sum(live.block.frames for live in blocks)
-        dtype = np.uint16 if frames <= np.iinfo(np.uint16).max else np.uint32
-        total = np.empty(parts[0].shape, dtype)
-        np.copyto(total, parts[0])
-        for part in parts[1:]:
-            np.add(total, part, out=total)
-        return total
-
-    def _make(self, live: LiveBlock, counts: Counts, frames: int) -> None:
+    def _make(self, live: LiveBlock, counts: Counts, frames: int, begun_s: float) -> None:
         block = live.block
         image = self._reconstruct(counts, live.kind)
         first = int(self.instrument.sensor.reports_empty)
@@ -173,6 +157,7 @@ class Pictures:
             frames=frames,
             device_s=block.last_tick / block.clock_hz if block.clock_hz else 0.0,
             received_s=live.received_s,
+            begun_s=begun_s,
             ready_s=time.monotonic(),
         )
         self.latest = picture
@@ -189,3 +174,52 @@ class Pictures:
             return None
         self.problem = ""
         return image
+
+
+class _Window:
+    """Sum of the newest histograms of a run, kept up to date: each is added and taken out once.
+
+    Parameters
+    ----------
+    blocks : how many.
+    """
+
+    def __init__(self, blocks: int) -> None:
+        self.blocks = blocks
+        self.frames = 0
+        self._live: deque[LiveBlock] = deque()
+        self._total: Counts | None = None
+
+    def add(self, live: LiveBlock) -> None:
+        """Take a histogram in, and the oldest out."""
+        # one LED at a time: pictures are of the one that fires now, so steps are not summed
+        if self._live and (self._live[-1].run, _step(self._live[-1])) != (live.run, _step(live)):
+            while self._live:
+                self._live.popleft().give_back()
+            self.frames, self._total = 0, None
+        self._live.append(live)
+        self.frames += live.block.frames
+        needed = np.uint16 if self.frames <= np.iinfo(np.uint16).max else np.uint32
+        if self._total is None:
+            self._total = _counts(live).astype(needed)
+        else:
+            self._total = self._total.astype(needed, copy=False)
+            np.add(self._total, _counts(live), out=self._total)
+        if len(self._live) > self.blocks:
+            oldest = self._live.popleft()
+            self.frames -= oldest.block.frames
+            np.subtract(self._total, _counts(oldest), out=self._total)
+            oldest.give_back()
+
+    def counts(self) -> Counts:
+        """The sum, in an array of its own."""
+        assert self._total is not None
+        return self._total.copy()
+
+
+def _step(live: LiveBlock) -> int:
+    return max(live.block.counts)
+
+
+def _counts(live: LiveBlock) -> Counts:
+    return live.block.counts[_step(live)]

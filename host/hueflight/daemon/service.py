@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
@@ -12,12 +11,14 @@ from typing import Any
 import structlog
 
 from hueflight.calibration import Calibration
-from hueflight.capture.acquisition import Acquisition, LiveBlock
+from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan, RunResult
 from hueflight.capture.run import RunSettings
+from hueflight.capture.snapshot import LiveBlock
 from hueflight.capture.summary import write_summary
 from hueflight.daemon.calibrating import Calibrating
 from hueflight.daemon.config import DaemonConfig
+from hueflight.daemon.delays import Latencies
 from hueflight.daemon.files import FileNameError, Folder, timestamp_name
 from hueflight.daemon.pictures import Picture, Pictures
 from hueflight.daemon.rates import Rates
@@ -28,7 +29,6 @@ from hueflight.instrument import Instrument
 log = structlog.get_logger("hueflight.daemon")
 STALE_S = 2.0  #: a picture older than this, or than three intervals, is stale
 LIVE = RunPlan(live=True)
-_LATENCIES = 512
 
 
 class Service:
@@ -54,7 +54,7 @@ class Service:
         self.config, self.instrument = config, instrument
         self.folder = Folder(config.folder / "recordings")
         self.rates = Rates()
-        self.latencies_s: deque[float] = deque(maxlen=_LATENCIES)
+        self.latencies = Latencies()
         self.started_s = time.monotonic()
         self.viewers = 0
         self._lock = threading.Lock()
@@ -253,7 +253,7 @@ class Service:
                 }
                 for gap in snapshot.gaps[-10:]
             ],
-            "latency_s": self.latency(),
+            "latency_s": self.latencies.as_dict(),
             "viewers": self.viewers,
             "uptime_s": now - self.started_s,
         }
@@ -263,16 +263,6 @@ class Service:
         """Age from which a picture is not live any more."""
         interval = self.settings.block_frames / self.settings.rate_hz
         return max(STALE_S, 3 * interval)
-
-    def latency(self) -> dict[str, float] | None:
-        """Last photon to the browser's answer that it is shown: quantiles, seconds."""
-        if not self.latencies_s:
-            return None
-        values = sorted(self.latencies_s)
-        return {
-            name: round(values[min(len(values) - 1, int(share * len(values)))], 4)
-            for name, share in (("p50", 0.5), ("p95", 0.95), ("p99", 0.99))
-        }
 
     def describe(self) -> dict[str, Any]:
         """What does not change while the daemon runs."""

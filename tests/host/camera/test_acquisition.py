@@ -13,8 +13,9 @@ import pytest
 from faulty_rig import FaultyRig
 
 import hueflight as hf
-from hueflight.capture.acquisition import Acquisition, LiveBlock
+from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan
+from hueflight.capture.snapshot import LiveBlock
 from hueflight.recording import open_recording
 from hueflight.recording.segment import Segment
 
@@ -284,3 +285,18 @@ def _random_run(seed: int, instrument: hf.Instrument, path: Path) -> None:
     assert result.recorded_frames + totals.losses.disk == totals.delivered, seed
     with open_recording(path) as recording:
         assert recording.histogram()[..., 1:].sum() == result.photons, seed
+
+
+def test_a_camera_that_is_found_is_not_looked_for_any_more(
+    rig: FaultyRig, fast: hf.Instrument
+) -> None:
+    """With nothing to run, or while the lights take long to be ready, no old problem is shown."""
+    rig.faults.plugged = False
+    acquisition = Acquisition(rig.connect, fast)
+    try:
+        until(lambda: "not plugged in" in acquisition.snapshot.problem, "it is looked for")
+        rig.faults.plugged = True
+        until(lambda: acquisition.snapshot.state == "idle", "it is found")
+        assert acquisition.snapshot.problem == ""
+    finally:
+        acquisition.close()

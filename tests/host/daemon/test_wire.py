@@ -16,7 +16,7 @@ from hueflight.daemon.wire import NOT_KNOWN, encode_picture
 def picture(image: xr.Dataset | None, photons: np.ndarray) -> Picture:
     return Picture(
         number=7, kind="scene", counts=np.zeros((*photons.shape, 2), np.uint16), image=image,
-        photons=photons, frames=3, device_s=1.5, received_s=10.0, ready_s=10.25,
+        photons=photons, frames=3, device_s=1.5, received_s=10.0, begun_s=10.1, ready_s=10.25,
     )  # fmt: skip
 
 

@@ -1,0 +1,92 @@
+"""Live pictures: each is of the newest frames, whatever the order in which pieces come."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hueflight as hf
+from hueflight.capture.snapshot import LiveBlock
+from hueflight.daemon.delays import Latencies
+from hueflight.daemon.pictures import Picture, Pictures
+
+WAIT_S = 20
+
+
+class Source:
+    """Histograms of random counts, and which of them were given back."""
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        self._shape = shape
+        self._rng = np.random.default_rng(7)
+        self.returned: list[int] = []
+
+    def block(self, number: int, *, run: int = 1, step: int = 0, frames: int = 10) -> LiveBlock:
+        counts = self._rng.integers(0, 9, self._shape, dtype=np.uint16)
+        block: Any = SimpleNamespace(counts={step: counts}, frames=frames, last_tick=0, clock_hz=1)
+        return LiveBlock(block, 0.0, "scene", run, lambda: self.returned.append(number))
+
+
+@pytest.mark.parametrize("blocks", [1, 3])
+def test_a_picture_is_of_the_newest_blocks_of_its_run(
+    instrument: hf.Instrument, blocks: int
+) -> None:
+    made: list[Picture] = []
+    done = threading.Semaphore(0)
+
+    def keep(picture: Picture) -> None:
+        made.append(picture)
+        done.release()
+
+    pictures = Pictures(instrument, window_blocks=blocks, on_picture=keep)
+    source = Source(instrument.histogram_shape)
+    offered: list[LiveBlock] = []
+    try:
+        for number, (run, step) in enumerate([(1, 0)] * 7 + [(2, 0)] * 2 + [(2, 1)] * 5):
+            offered.append(source.block(number, run=run, step=step))
+            pictures.offer(offered[-1])
+            assert done.acquire(timeout=WAIT_S)
+            same = [b for b in offered if (b.run, list(b.block.counts)) == (run, [step])]
+            newest = same[-blocks:]
+            wanted = sum(live.block.counts[step].astype(np.uint32) for live in newest)
+            assert np.array_equal(made[-1].counts, wanted)
+            assert made[-1].frames == 10 * len(newest)
+    finally:
+        pictures.close()
+    assert pictures.skipped == 0
+    # all but those that the next picture still needs, each once, in order
+    assert source.returned == list(range(len(offered) - blocks))
+
+
+def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrument) -> None:
+    made: list[Picture] = []
+    done = threading.Semaphore(0)
+    pictures = Pictures(
+        instrument, window_blocks=4, on_picture=lambda p: (made.append(p), done.release())
+    )
+    source = Source(instrument.histogram_shape)
+    try:
+        for number in range(4):
+            live = source.block(number, frames=30_000)
+            live.block.counts[0][:] = 30_000
+            pictures.offer(live)
+            assert done.acquire(timeout=WAIT_S)
+    finally:
+        pictures.close()
+    assert (made[-1].counts == 120_000).all()
+
+
+def test_delays_and_their_parts() -> None:
+    latencies = Latencies()
+    assert latencies.as_dict() is None
+    for way in (0.01, 0.02, 0.03):
+        picture: Any = SimpleNamespace(received_s=5.0, begun_s=5.1, ready_s=5.4)
+        latencies.shown(picture, 5.4 + way)
+    found = latencies.as_dict()
+    assert found == {
+        "p50": 0.42, "p95": 0.43, "p99": 0.43, "waiting": 0.1, "making": 0.3, "showing": 0.02
+    }  # fmt: skip

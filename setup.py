@@ -31,7 +31,15 @@ setup(
                 sources=[f"{RECONSTRUCTION}/_kernels.c"],
                 depends=[
                     f"{RECONSTRUCTION}/_{part}.h"
-                    for part in ("vector", "tables", "scoring", "search", "likelihood")
+                    for part in (
+                        "vector",
+                        "tables",
+                        "scoring",
+                        "search",
+                        "likelihood",
+                        "counts",
+                        "changes",
+                    )
                 ],
                 define_macros=[("MODULE", name), ("LANES", lanes)],
                 # roots and logarithms need not set errno

@@ -12,6 +12,8 @@
 #include "_scoring.h"
 #include "_search.h"
 #include "_likelihood.h"
+#include "_counts.h"
+#include "_changes.h"
 
 #ifndef MODULE
 #define MODULE _kernels
@@ -21,90 +23,19 @@
 #define QUOTED(x) #x
 #define TEXT(name) QUOTED(name)
 
-/* Where counts lie, and of which type: 'H', 'I' or 'f'. */
-typedef struct {
-    const char *data;
-    Py_ssize_t pixels, pixel_step, bin_step;
-    char type;
-} Light;
-
 typedef struct {
     float *delay, *deviation, *other, *amplitudes, *amplitude_std, *background;
     uint8_t *steps;
 } Results;
 
 typedef struct {
-    float *fine, *rough, *sensor, *scores;
+    float *fine, *rough, *sensor, *earlier, *scores;
     int8_t *tried;
     size_t fine_stride, rough_stride, lags;
     vec *work;
     Equations *equations;
     Track *tracks;
 } Scratch;
-
-/* Counts of one pixel as floats, in the sensor's bins. */
-INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
-{
-    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
-    Py_ssize_t by = light->bin_step;
-    if (light->type == 'H' && by == 2)
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint16_t *)from)[i];
-    else if (light->type == 'H' && by == -2)
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint16_t *)from)[-i];
-    else if (light->type == 'H')
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)*(const uint16_t *)(from + i * by);
-    else if (light->type == 'I' && by == -4)
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint32_t *)from)[-i];
-    else if (light->type == 'I' && by == 4)
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint32_t *)from)[i];
-    else if (light->type == 'I')
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)*(const uint32_t *)(from + i * by);
-    else if (by == 4)
-        memcpy(to, from, (size_t)bins * sizeof *to);
-    else if (by == -4)
-        for (int i = 0; i < bins; i++)
-            to[i] = ((const float *)from)[-i];
-    else
-        for (int i = 0; i < bins; i++)
-            to[i] = *(const float *)(from + i * by);
-}
-
-/* Sums of `factor` bins each within every view; returns how many. `sizes` may be those of the
- * sensor or, with `before`, of bins that were summed already. */
-INLINE int group(const Plan *plan, int before, int factor, const float *from, float *to)
-{
-    int made = 0;
-    for (int v = 0; v < plan->views; v++) {
-        int size = (plan->sizes[v] + before - 1) / before, full = size / factor;
-        if (factor == 1)
-            memcpy(to + made, from, (size_t)size * sizeof *to);
-        else if (factor == 4)
-            for (int j = 0; j < full; j++)
-                to[made + j] = (from[4 * j] + from[4 * j + 1]) + (from[4 * j + 2] + from[4 * j + 3]);
-        else
-            for (int j = 0; j < full; j++) {
-                float x = 0;
-                for (int i = 0; i < factor; i++)
-                    x += from[j * factor + i];
-                to[made + j] = x;
-            }
-        if (full * factor < size) {
-            float rest = 0;
-            for (int i = full * factor; i < size; i++)
-                rest += from[i];
-            to[made + full] = rest;
-        }
-        made += (size + factor - 1) / factor;
-        from += size;
-    }
-    return made;
-}
 
 /* Steps of scoring at the full bin width until every track has settled. */
 INLINE void settle(const Plan *plan, const Scratch *scratch, const float *totals,
@@ -158,17 +89,17 @@ INLINE void decide(const Plan *plan, const float *counts, float total, Track *mi
 }
 
 /* Counts of one pixel at all bin widths; returns their sum. */
-INLINE float prepare(const Plan *plan, const Light *light, size_t pixel, int place,
+INLINE float prepare(const Plan *plan, const Light *light, size_t pixel, float rate, int place,
                      const Scratch *scratch)
 {
     float *fine = scratch->fine + (size_t)place * scratch->fine_stride;
     float *rough = scratch->rough + (size_t)place * scratch->rough_stride;
-    if (plan->factor == 1)
-        read_counts(light, pixel, plan->bins, fine);
-    else {
-        read_counts(light, pixel, plan->bins, scratch->sensor);
-        group(plan, 1, plan->factor, scratch->sensor, fine);
-    }
+    float *sensor = plan->factor == 1 ? fine : scratch->sensor;
+    read_counts(light, pixel, plan->bins, sensor);
+    if (rate > 0)
+        unshadow(sensor, plan->bins, rate, scratch->earlier);
+    if (plan->factor > 1)
+        group(plan, 1, plan->factor, sensor, fine);
     group(plan, plan->factor, plan->coarse.factor, fine, rough);
     vec whole = {0};
     for (int block = 0; block < plan->fine.blocks; block++)
@@ -176,8 +107,9 @@ INLINE float prepare(const Plan *plan, const Light *light, size_t pixel, int pla
     return sum(whole);
 }
 
-INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets, size_t first,
-                     int count, const Results *results, const Scratch *scratch)
+INLINE void fit_tile(const Plan *plan, const Light *light, const int64_t *which,
+                     const float *offsets, const float *rates, size_t first, int count,
+                     const Results *results, const Scratch *scratch)
 {
     const Rules *rules = &plan->rules;
     float totals[TILE + PARTY], local[TILE + PARTY], others[TILE];
@@ -187,7 +119,8 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets,
         others[p] = NAN;
         rivals[p] = -1;
         local[p] = offsets[first + (size_t)p];
-        totals[p] = prepare(plan, light, first + (size_t)p, p, scratch);
+        totals[p] = prepare(plan, light, (size_t)which[first + (size_t)p],
+                            rates ? rates[first + (size_t)p] : 0, p, scratch);
     }
     for (int p = count; p % PARTY; p++) { /* to make up the last party */
         local[p] = local[count - 1];
@@ -242,12 +175,14 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const float *offsets,
     }
 }
 
-static void fit_pixels(const Plan *plan, const Light *light, const float *offsets,
-                       const Results *results, const Scratch *scratch)
+static void fit_pixels(const Plan *plan, const Light *light, const int64_t *which, size_t pixels,
+                       const float *offsets, const float *rates, const Results *results,
+                       const Scratch *scratch)
 {
-    for (size_t first = 0; first < (size_t)light->pixels; first += TILE) {
-        size_t left = (size_t)light->pixels - first;
-        fit_tile(plan, light, offsets, first, left < TILE ? (int)left : TILE, results, scratch);
+    for (size_t first = 0; first < pixels; first += TILE) {
+        size_t left = pixels - first;
+        fit_tile(plan, light, which, offsets, rates, first, left < TILE ? (int)left : TILE, results,
+                 scratch);
     }
 }
 
@@ -271,7 +206,7 @@ static char *make_scratch(const Plan *plan, Scratch *scratch)
     size_t work = 5 * sizeof(vec) * (size_t)plan->fine.blocks;
     size_t bytes = 64 * 16
                  + TILE * 4 * (scratch->fine_stride + scratch->rough_stride)
-                 + 4 * vectors(plan->bins) + PARTY * 5 * scratch->lags + work
+                 + 8 * vectors(plan->bins) + PARTY * 5 * scratch->lags + work
                  + sizeof(Equations) + TRACKS * sizeof(Track);
     char *block = calloc(bytes, 1);
     if (!block)
@@ -280,6 +215,7 @@ static char *make_scratch(const Plan *plan, Scratch *scratch)
     scratch->fine = take(&place, TILE * 4 * scratch->fine_stride);
     scratch->rough = take(&place, TILE * 4 * scratch->rough_stride);
     scratch->sensor = take(&place, 4 * vectors(plan->bins));
+    scratch->earlier = take(&place, 4 * vectors(plan->bins));
     scratch->scores = take(&place, PARTY * 4 * scratch->lags);
     scratch->tried = take(&place, PARTY * scratch->lags);
     scratch->work = take(&place, work);
@@ -288,9 +224,9 @@ static char *make_scratch(const Plan *plan, Scratch *scratch)
     return block;
 }
 
-enum { LIGHT, OFFSETS, INTEGERS, REALS, SIZES, F_WIDTHS, F_PLACES, F_RUNS, F_DATA, F_PAIRS,
-       F_MEETS, F_MEETINGS, R_WIDTHS, R_PLACES, R_RUNS, R_DATA, R_PAIRS, R_MEETS, R_MEETINGS, C_SPANS, C_GAINS,
-       C_COSTS, C_PLACES, C_RUNS, C_WIDTHS, C_SHARES,
+enum { LIGHT, WHICH, OFFSETS, RATES, INTEGERS, REALS, SIZES, F_WIDTHS, F_PLACES, F_RUNS, F_DATA, F_PAIRS,
+       F_MEETS, F_MEETINGS, R_WIDTHS, R_PLACES, R_RUNS, R_DATA, R_PAIRS, R_MEETS, R_MEETINGS,
+       C_SPANS, C_GAINS, C_COSTS, C_PLACES, C_RUNS, C_WIDTHS, C_SHARES,
        DELAY, DEVIATION, OTHER, AMPLITUDES, AMPLITUDE_STD, BACKGROUND, STEPS, BUFFERS };
 
 static void make_plan(const Py_buffer *held, Plan *plan)
@@ -324,34 +260,56 @@ static void make_plan(const Py_buffer *held, Plan *plan)
     };
 }
 
-/* fit(light, offsets, integers, reals, sizes, tables..., results...): see kernels.py. */
+/* Takes hold of all arguments as buffers, the first and `other` as they lie, those from `written`
+ * on to be written; returns how many, or fewer with an error set. */
+static int hold(PyObject *args, Py_buffer *held, int wanted, int other, int written)
+{
+    if (PyTuple_Size(args) != wanted) {
+        PyErr_Format(PyExc_TypeError, "wants %d buffers", wanted);
+        return 0;
+    }
+    for (int i = 0; i < wanted; i++) {
+        int flags = i == LIGHT || i == other ? PyBUF_STRIDED_RO | PyBUF_FORMAT
+                  : i >= written ? PyBUF_WRITABLE : PyBUF_SIMPLE;
+        if (PyObject_GetBuffer(PyTuple_GetItem(args, i), &held[i], flags))
+            return i;
+    }
+    return wanted;
+}
+
+/* Counts in a buffer; false with an error set if it is none, or some pixel of `which` is not. */
+static int light_of(const Py_buffer *held, const Py_buffer *which, Light *light)
+{
+    char type = held->format ? held->format[0] : 0;
+    if (held->ndim != 2 || (type != 'H' && type != 'I' && type != 'f')) {
+        PyErr_SetString(PyExc_ValueError, "light must be (pixel, bin) of uint16, uint32 or float32");
+        return 0;
+    }
+    *light = (Light){held->buf, held->shape[0], held->strides[0], held->strides[1], type};
+    const int64_t *pixels = which->buf;
+    for (Py_ssize_t i = 0; i < which->len / 8; i++)
+        if (pixels[i] < 0 || pixels[i] >= light->pixels) {
+            PyErr_SetString(PyExc_IndexError, "no such pixel");
+            return 0;
+        }
+    return 1;
+}
+
+/* fit(light, which, offsets, rates, integers, reals, sizes, tables..., results...): kernels.py. */
 static PyObject *py_fit(PyObject *self, PyObject *args)
 {
     (void)self;
-    if (PyTuple_Size(args) != BUFFERS) {
-        PyErr_Format(PyExc_TypeError, "fit takes %d buffers", BUFFERS);
-        return NULL;
-    }
     Py_buffer held[BUFFERS];
     PyObject *answer = NULL;
-    int count = 0;
-    for (; count < BUFFERS; count++) {
-        int flags = count == LIGHT ? PyBUF_STRIDED_RO | PyBUF_FORMAT
-                  : count >= DELAY ? PyBUF_WRITABLE : PyBUF_SIMPLE;
-        if (PyObject_GetBuffer(PyTuple_GetItem(args, count), &held[count], flags))
-            goto done;
-    }
-    char type = held[LIGHT].format ? held[LIGHT].format[0] : 0;
-    if (held[LIGHT].ndim != 2 || (type != 'H' && type != 'I' && type != 'f')) {
-        PyErr_SetString(PyExc_ValueError, "fit: light must be (pixel, bin) of uint16, uint32 or float32");
+    int count = hold(args, held, BUFFERS, LIGHT, DELAY);
+    Light light;
+    if (count < BUFFERS || !light_of(&held[LIGHT], &held[WHICH], &light))
         goto done;
-    }
     Plan plan;
     make_plan(held, &plan);
-    Light light = {held[LIGHT].buf, held[LIGHT].shape[0], held[LIGHT].strides[0],
-                   held[LIGHT].strides[1], type};
-    size_t pixels = (size_t)light.pixels, bands = (size_t)plan.bands;
+    size_t pixels = (size_t)held[WHICH].len / 8, bands = (size_t)plan.bands;
     if (plan.bands < 1 || plan.bands > MOST_BANDS || held[LIGHT].shape[1] != plan.bins
+        || (held[RATES].len && (size_t)held[RATES].len < 4 * pixels)
         || (size_t)held[OFFSETS].len < 4 * pixels || (size_t)held[DELAY].len < 4 * pixels
         || (size_t)held[DEVIATION].len < 4 * pixels || (size_t)held[OTHER].len < 4 * pixels
         || (size_t)held[AMPLITUDES].len < 4 * pixels * bands
@@ -370,9 +328,92 @@ static PyObject *py_fit(PyObject *self, PyObject *args)
         goto done;
     }
     Py_BEGIN_ALLOW_THREADS
-    fit_pixels(&plan, &light, held[OFFSETS].buf, &results, &scratch);
+    fit_pixels(&plan, &light, held[WHICH].buf, pixels, held[OFFSETS].buf,
+               held[RATES].len ? held[RATES].buf : NULL, &results, &scratch);
     Py_END_ALLOW_THREADS
     free(block);
+    answer = Py_None;
+    Py_INCREF(answer);
+done:
+    while (count--)
+        PyBuffer_Release(&held[count]);
+    return answer;
+}
+
+enum { THEN = DELAY, KEPT_AMPLITUDES, KEPT_BACKGROUND, CONTRASTS, CHANGE_BUFFERS };
+
+/* contrasts(now, which, delays, scales, integers, reals, sizes, tables..., then, amplitudes,
+ * background, results): see changes.py. */
+static PyObject *py_contrasts(PyObject *self, PyObject *args)
+{
+    (void)self;
+    Py_buffer held[CHANGE_BUFFERS];
+    PyObject *answer = NULL;
+    int count = hold(args, held, CHANGE_BUFFERS, THEN, CONTRASTS);
+    Light now, then;
+    if (count < CHANGE_BUFFERS || !light_of(&held[LIGHT], &held[WHICH], &now)
+        || !light_of(&held[THEN], &held[WHICH], &then))
+        goto done;
+    Plan plan;
+    make_plan(held, &plan);
+    size_t pixels = (size_t)held[WHICH].len / 8, bands = (size_t)plan.bands;
+    if (plan.bands < 1 || plan.bands > MOST_BANDS || held[LIGHT].shape[1] != plan.bins
+        || held[THEN].shape[1] != plan.bins || (size_t)held[OFFSETS].len < 4 * pixels
+        || (size_t)held[RATES].len < 4 * pixels || (size_t)held[CONTRASTS].len < 4 * pixels
+        || (size_t)held[KEPT_AMPLITUDES].len < 4 * pixels * bands
+        || (size_t)held[KEPT_BACKGROUND].len < 4 * pixels) {
+        PyErr_SetString(PyExc_ValueError, "contrasts: buffers do not fit one another");
+        goto done;
+    }
+    Scratch scratch;
+    char *block = make_scratch(&plan, &scratch);
+    if (!block) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    const int64_t *which = held[WHICH].buf;
+    const float *delays = held[OFFSETS].buf, *scales = held[RATES].buf;
+    const float *amplitudes = held[KEPT_AMPLITUDES].buf, *background = held[KEPT_BACKGROUND].buf;
+    float *results = held[CONTRASTS].buf;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < pixels; i++) {
+        prepare(&plan, &now, (size_t)which[i], 0, 0, &scratch);
+        prepare(&plan, &then, (size_t)which[i], 0, 1, &scratch);
+        results[i] = contrast(&plan, scratch.rough, scratch.rough + scratch.rough_stride, scales[i],
+                              delays[i], amplitudes + i * bands, background[i], scratch.work);
+    }
+    Py_END_ALLOW_THREADS
+    free(block);
+    answer = Py_None;
+    Py_INCREF(answer);
+done:
+    while (count--)
+        PyBuffer_Release(&held[count]);
+    return answer;
+}
+
+/* sums(light, which, results): counts of each pixel, as float64. */
+static PyObject *py_sums(PyObject *self, PyObject *args)
+{
+    (void)self;
+    Py_buffer held[3];
+    PyObject *answer = NULL;
+    int count = hold(args, held, 3, LIGHT, 2);
+    Light light;
+    if (count < 3 || !light_of(&held[LIGHT], &held[WHICH], &light))
+        goto done;
+    size_t pixels = (size_t)held[WHICH].len / 8;
+    if ((size_t)held[2].len < 8 * pixels) {
+        PyErr_SetString(PyExc_ValueError, "sums: buffers do not fit one another");
+        goto done;
+    }
+    const int64_t *which = held[WHICH].buf;
+    double *results = held[2].buf;
+    int bins = (int)held[LIGHT].shape[1];
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < pixels; i++)
+        results[i] = sum_counts(&light, (size_t)which[i], bins);
+    Py_END_ALLOW_THREADS
     answer = Py_None;
     Py_INCREF(answer);
 done:
@@ -402,6 +443,8 @@ static PyObject *py_processor(PyObject *self, PyObject *args)
 
 static PyMethodDef methods[] = {
     {"processor", py_processor, METH_NOARGS, "Which vector instructions there are: 0, 1 or 2."},
+    {"sums", py_sums, METH_VARARGS, "Counts of pixels."},
+    {"contrasts", py_contrasts, METH_VARARGS, "What has changed; see hueflight.reconstruction.changes."},
     {"fit", py_fit, METH_VARARGS, "Joint fit of pixels; see hueflight.reconstruction.kernels."},
     {NULL, NULL, 0, NULL},
 };

@@ -42,7 +42,20 @@ INLINE ivec lane_numbers(void)
     return n;
 }
 
-INLINE vec swap(vec x, int distance) { return __builtin_shuffle(x, lane_numbers() ^ distance); }
+/* Lanes in another order. */
+INLINE vec picked(vec x, ivec from)
+{
+#ifdef __clang__
+    vec y = {0};
+    for (int lane = 0; lane < LANES; lane++)
+        y[lane] = x[from[lane]];
+    return y;
+#else
+    return __builtin_shuffle(x, from);
+#endif
+}
+
+INLINE vec swap(vec x, int distance) { return picked(x, lane_numbers() ^ distance); }
 
 INLINE float sum(vec x)
 {

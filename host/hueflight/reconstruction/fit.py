@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,10 @@ class Fit:
     amplitude_std: NDArray[np.float64]
     background: NDArray[np.float64]
     steps: NDArray[np.uint8]
+
+    def take(self, chosen: NDArray[Any]) -> Fit:
+        """Some of the pixels."""
+        return Fit(*(getattr(self, name)[chosen] for name in Fit.__dataclass_fields__))
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import isfinite
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.fit import DEFAULT, Fit, Switches
+from hueflight.reconstruction.fit import Fit
 from hueflight.reconstruction.image import Estimates
-from hueflight.reconstruction.kernels import fit_pixels
+from hueflight.reconstruction.kernels import fit_pixels, photon_sums
 from hueflight.reconstruction.pileup import (
     lost_photons_factor,
     photons_per_period,
@@ -21,7 +22,8 @@ from hueflight.reconstruction.pileup import (
 )
 from hueflight.reconstruction.plan import Plan, View, make_plan
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.resolution import resolved
+from hueflight.reconstruction.resolution import is_resolved, resolved
+from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 TINY = 1e-30  #: exposures; fewer are none
@@ -77,14 +79,16 @@ def search_range_ns(
 
 
 def estimate(
-    light: NDArray[np.floating],
+    light: NDArray[Any],
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
     *,
     range_correction: bool = False,
     pileup_correction: bool = True,
     depth_range: tuple[float, float] | None = None,
-    switches: Switches = DEFAULT,
+    region: NDArray[np.bool_] | None = None,
+    skips: Skips = DEFAULT_SKIPS,
+    threads: int = 1,
 ) -> Estimates:
     """Depth and reflectance of every pixel by the joint fit.
 
@@ -95,22 +99,44 @@ def estimate(
     range_correction : multiply reflectance by (distance / reference distance)².
     pileup_correction : undo what an exposure that keeps only its first photon loses.
     depth_range : depths to search, m; default half the pulses' spacing about the reference.
-    switches : what may be skipped.
+    region : (row, col) pixels that are wanted; default all.
+    skips : what may be left out.
+    threads : that share the pixels.
     """
+    rows, cols, bins = light.shape
     search_ns = search_range_ns(calibration, depth_range)
     plan = plan_for(calibration, search_ns)
-    photons = light.sum(axis=-1, dtype=np.float64)
+    flat = light.reshape(rows * cols, bins)
+    photons = photon_sums(flat).reshape(rows, cols)
     usable = calibration.usable
-    chosen = usable & (photons > 0)
-    seen = light[chosen]
+    wanted = np.ones((rows, cols), bool) if region is None else region
+    chosen = wanted.copy()
+    if skips.empty:
+        chosen &= photons > 0
+    if skips.defects:
+        chosen &= usable
+    pixels = np.flatnonzero(chosen)
+    rates = None
     if pileup_correction and frames is not None:
-        rate = photons_per_period(photons[chosen], frames[chosen], calibration.instrument)
-        seen = unshadowed(seen, rate)
-    seen = resolved(seen, calibration.instrument, calibration.bins)
-    found = fit_pixels(seen, calibration.pixel_delay_ns[chosen], plan, switches)
+        rates = photons_per_period(photons[chosen], frames[chosen], calibration.instrument)
+    if is_resolved(calibration.instrument, calibration.bins):
+        seen, rows_of = flat, pixels
+    else:
+        seen, rows_of = unshadowed(flat[pixels], rates), None
+        seen, rates = resolved(seen, calibration.instrument, calibration.bins), None
+    found = fit_pixels(
+        seen,
+        calibration.pixel_delay_ns[chosen],
+        plan,
+        skips.of_fit(calibration),
+        pixels=rows_of,
+        per_period=rates,
+        threads=threads,
+    )
+    known = wanted & usable & (photons > 0)
     return in_metres(
-        found,
-        chosen,
+        found if np.array_equal(known, chosen) else found.take(known[chosen]),
+        known,
         photons,
         frames,
         calibration,

@@ -18,12 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import HueflightError
+from hueflight.reconstruction import changes
 from hueflight.reconstruction import fit as definition
 from hueflight.reconstruction.fit import DEFAULT, Fit, Switches
 from hueflight.reconstruction.packing import MOST_BANDS, PackedLevel, PackedPlan, pack, rules
+from hueflight.reconstruction.pileup import NEGLIGIBLE, unshadowed
 from hueflight.reconstruction.plan import Plan
 
 TILE_PIXELS = 2048  #: pixels that one thread takes at a time
+
+COUNT_TYPES = (np.uint16, np.uint32, np.float32)  #: that the compiled kernel reads
 
 #: the same kernel for AVX-512, for AVX2, and for any processor, the best first
 BUILDS = ("_kernels_v4", "_kernels_v3", "_kernels")
@@ -35,6 +39,10 @@ class _Kernel(Protocol):
     LANES: int
 
     def fit(self, *buffers: Any) -> None: ...
+
+    def contrasts(self, *buffers: Any) -> None: ...
+
+    def sums(self, *buffers: Any) -> None: ...
 
 
 @cache
@@ -76,31 +84,43 @@ def fit_pixels(
     plan: Plan,
     switches: Switches = DEFAULT,
     *,
+    pixels: NDArray[np.int64] | None = None,
+    per_period: NDArray[np.float64] | None = None,
     threads: int = 1,
 ) -> Fit:
     """Fit pixels side by side; see `fit.fit`.
 
     Parameters
     ----------
+    light : (pixel, bin) counts in time order.
+    offsets_ns : (fitted,) delay of each pixel that is fitted.
+    pixels : (fitted,) rows of `light` to fit; default all.
+    per_period : (fitted,) photons per period, of which a sensor that keeps the first photon of an
+        exposure hides some: undone on the way, see `pileup.unshadowed`.
     threads : that share the pixels, tile by tile; the result does not depend on it.
     """
     bins = sum(view.bins.count for view in plan.views)
-    if light.ndim != 2 or light.shape[1] != bins or offsets_ns.shape != light.shape[:1]:
+    which = np.arange(len(light)) if pixels is None else np.ascontiguousarray(pixels, np.int64)
+    if light.ndim != 2 or light.shape[1] != bins or offsets_ns.shape != which.shape:
         raise HueflightError(
             f"light has shape {light.shape} and offsets {offsets_ns.shape}: the plan needs "
-            f"(pixel, {bins}) and (pixel,)"
+            f"(pixel, {bins}) and ({which.size},)"
         )
+    if per_period is not None and float(np.max(per_period, initial=0.0)) < NEGLIGIBLE:
+        per_period = None
     compiled = chosen_backend(plan.bands) == "c"
-    if compiled and light.dtype not in (np.uint16, np.uint32, np.float32):
+    if compiled and light.dtype not in COUNT_TYPES:
         light = light.astype(np.float32)
 
-    def fit_tile(tile: tuple[NDArray[Any], NDArray[np.float64]]) -> Fit:
-        return (_fit_compiled if compiled else definition.fit)(*tile, plan, switches)
+    def fit_tile(tile: slice) -> Fit:
+        rates = None if per_period is None else per_period[tile]
+        if compiled:
+            return _fit_compiled(light, which[tile], offsets_ns[tile], rates, plan, switches)
+        seen = light if pixels is None and len(which) <= TILE_PIXELS else light[which[tile]]
+        return definition.fit(unshadowed(seen, rates), offsets_ns[tile], plan, switches)
 
-    tiles = [
-        (light[start : start + TILE_PIXELS], offsets_ns[start : start + TILE_PIXELS])
-        for start in range(0, len(light), TILE_PIXELS)
-    ] or [(light, offsets_ns)]
+    starts = range(0, max(len(which), 1), TILE_PIXELS)
+    tiles = [slice(start, start + TILE_PIXELS) for start in starts]
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
             fits = list(pool.map(fit_tile, tiles))
@@ -114,30 +134,73 @@ def fit_pixels(
     )
 
 
-def _fit_compiled(
-    light: NDArray[Any], offsets_ns: NDArray[np.float64], plan: Plan, switches: Switches
-) -> Fit:
+def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
+    """Counts (pixel,) of (pixel, bin)."""
+    kernel = compiled_kernel()
+    wish = os.environ.get("HUEFLIGHT_KERNELS", "")
+    if kernel is None or wish == "numpy" or light.dtype not in COUNT_TYPES:
+        return light.sum(axis=-1, dtype=np.float64)
+    sums = np.empty(len(light))
+    kernel.sums(light, np.arange(len(light)), sums)
+    return sums
+
+
+def contrasts(
+    now: NDArray[Any],
+    then: NDArray[Any],
+    pixels: NDArray[np.int64],
+    scales: NDArray[np.float64],
+    found: Fit,
+    offsets_ns: NDArray[np.float64],
+    plan: Plan,
+) -> NDArray[np.float64]:
+    """How much each pixel has changed; see `changes.contrasts`."""
+    if chosen_backend(plan.bands) == "numpy" or now.dtype not in COUNT_TYPES:
+        return changes.contrasts(now[pixels], then[pixels], scales, found, offsets_ns, plan)
+    kernel, packed = _packed_for(plan)
+    result = np.empty(len(pixels), np.float32)
+    kernel.contrasts(
+        now,
+        np.ascontiguousarray(pixels, np.int64),
+        (found.delay_ns + offsets_ns).astype(np.float32),
+        scales.astype(np.float32),
+        *_plan_buffers(plan, packed, DEFAULT),
+        then,
+        np.ascontiguousarray(found.amplitudes, np.float32),
+        found.background.astype(np.float32),
+        result,
+    )
+    return result.astype(np.float64)
+
+
+def _packed_for(plan: Plan) -> tuple[_Kernel, PackedPlan]:
     kernel = compiled_kernel()
     assert kernel is not None  # chosen_backend has seen to it
     if plan not in _packed:
         _packed[plan] = pack(plan, kernel.LANES)
-    packed = _packed[plan]
-    integers, reals = rules(plan, packed, switches)
-    sizes = np.array([view.bins.count for view in plan.views], np.int32)
-    pixels, bands = len(light), plan.bands
-    planes = [np.empty(pixels, np.float32) for _ in range(4)]
-    amplitudes, amplitude_std = (np.empty((pixels, bands), np.float32) for _ in range(2))
-    steps = np.empty(pixels, np.uint8)
-    delay, deviation, other, background = planes
-    fine, rough, coarse = packed.fine, packed.rough, packed.coarse
+    return kernel, _packed[plan]
+
+
+def _fit_compiled(
+    light: NDArray[Any],
+    pixels: NDArray[np.int64],
+    offsets_ns: NDArray[np.float64],
+    per_period: NDArray[np.float64] | None,
+    plan: Plan,
+    switches: Switches,
+) -> Fit:
+    kernel, packed = _packed_for(plan)
+    count, bands = len(pixels), plan.bands
+    delay, deviation, other, background = (np.empty(count, np.float32) for _ in range(4))
+    amplitudes, amplitude_std = (np.empty((count, bands), np.float32) for _ in range(2))
+    steps = np.empty(count, np.uint8)
+    rates = np.empty(0) if per_period is None else per_period
     kernel.fit(
         light,
+        pixels,
         offsets_ns.astype(np.float32),
-        *(integers, reals, sizes),
-        *_buffers(fine),
-        *_buffers(rough),
-        *(coarse.spans, coarse.gains, coarse.costs),
-        *(coarse.places, coarse.runs, coarse.widths, coarse.shares),
+        rates.astype(np.float32),
+        *_plan_buffers(plan, packed, switches),
         *(delay, deviation, other, amplitudes, amplitude_std, background, steps),
     )
     wide = [
@@ -145,6 +208,19 @@ def _fit_compiled(
         for values in (delay, deviation, other, amplitudes, amplitude_std, background)
     ]
     return Fit(*wide, steps=steps)
+
+
+def _plan_buffers(plan: Plan, packed: PackedPlan, switches: Switches) -> list[NDArray[Any]]:
+    integers, reals = rules(plan, packed, switches)
+    sizes = np.array([view.bins.count for view in plan.views], np.int32)
+    coarse = packed.coarse
+    return [
+        *(integers, reals, sizes),
+        *_buffers(packed.fine),
+        *_buffers(packed.rough),
+        *(coarse.spans, coarse.gains, coarse.costs),
+        *(coarse.places, coarse.runs, coarse.widths, coarse.shares),
+    ]
 
 
 def _buffers(level: PackedLevel) -> tuple[NDArray[Any], ...]:

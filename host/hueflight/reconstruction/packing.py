@@ -73,10 +73,16 @@ class PackedPlan:
     coarse: PackedCoarse
 
 
-def pack(plan: Plan, lanes: int) -> PackedPlan:
-    """Tables of a plan for a kernel with vectors of so many lanes."""
-    fine = _level(plan.fine, lanes)
-    rough = fine if plan.rough is plan.fine else _level(plan.rough, lanes)
+def pack(plan: Plan, lanes: int, *, skip_dark: bool = True) -> PackedPlan:
+    """Tables of a plan for a kernel with vectors of so many lanes.
+
+    Parameters
+    ----------
+    skip_dark : a band's blocks of bins in which its pulse is not are left out; the results are
+        the same.
+    """
+    fine = _level(plan.fine, lanes, skip_dark=skip_dark)
+    rough = fine if plan.rough is plan.fine else _level(plan.rough, lanes, skip_dark=skip_dark)
     return PackedPlan(fine=fine, rough=rough, coarse=_coarse(plan.coarse, lanes))
 
 
@@ -109,7 +115,7 @@ def rules(
     return np.array(integers, np.int32), np.array(reals, np.float32)
 
 
-def _level(level: Level, lanes: int) -> PackedLevel:
+def _level(level: Level, lanes: int, *, skip_dark: bool) -> PackedLevel:
     phases, bands, bins = level.shares.shape
     blocks = -(-bins // lanes)
     room = blocks * lanes - bins
@@ -121,6 +127,7 @@ def _level(level: Level, lanes: int) -> PackedLevel:
 
     shares, slopes = blocked(level.shares), blocked(level.slopes)
     lit = np.asarray(shares.any(axis=-1) | slopes.any(axis=-1))  # phase, band, block
+    lit |= not skip_dark
     runs, counts = _runs(lit)  # phase, band, first block
     place = np.concatenate([[0], np.cumsum(2 * counts)])
     row = np.full(lit.shape, -1)  # of each lit block's shares

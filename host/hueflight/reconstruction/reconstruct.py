@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
@@ -11,7 +13,16 @@ from hueflight.errors import HistogramError, HueflightError
 from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
 from hueflight.reconstruction import few_photons, joint, paper
 from hueflight.reconstruction.image import as_image
+from hueflight.reconstruction.kernels import COUNT_TYPES
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.skips import (
+    DEFAULT_SKIPS,
+    Region,
+    Skips,
+    band_numbers,
+    leave_out,
+    region_mask,
+)
 
 METHODS = ("joint", "paper", "pooled")
 
@@ -26,6 +37,10 @@ def reconstruct(
     frames: ArrayLike | None = None,
     range_correction: bool = False,
     pileup_correction: bool = True,
+    bands: Sequence[str | int] | None = None,
+    region: Region | None = None,
+    skips: Skips = DEFAULT_SKIPS,
+    threads: int = 1,
 ) -> xr.Dataset:
     """Depth and reflectance in every band from one histogram per pixel.
 
@@ -43,6 +58,12 @@ def reconstruct(
     range_correction : multiply reflectance by the squared ratio of distances.
     pileup_correction : undo the loss of later photons of an exposure, where the sensor reports
         its empty exposures or `frames` says how many there were.
+    bands : names or numbers of those whose reflectance is wanted, default all. All are fitted:
+        depth rests on every band's light.
+    region : two slices (``np.s_[10:20, 30:40]``) or a mask (row, col): pixels outside are left
+        out and flagged skipped (``"joint"`` only saves time by it).
+    skips : what ``"joint"`` may leave out.
+    threads : that share the pixels (``"joint"`` only).
 
     Returns
     -------
@@ -60,7 +81,11 @@ def reconstruct(
     instrument = calibration.instrument
     counts = check_histogram(histogram, instrument)
     exposures = frames_per_pixel(counts, instrument, frames)
-    light = calibration.bins.in_time_order(counts).astype(np.float32, copy=False)
+    wanted = region_mask(region, instrument.image_shape)
+    numbers = band_numbers(bands, calibration)
+    light = calibration.bins.in_time_order(counts)
+    if light.dtype not in COUNT_TYPES:
+        light = light.astype(np.float32)
     if method == "pooled":
         estimates = few_photons.estimate(
             counts,
@@ -78,6 +103,9 @@ def reconstruct(
             range_correction=range_correction,
             pileup_correction=pileup_correction,
             depth_range=depth_range,
+            region=wanted,
+            skips=skips,
+            threads=threads,
         )
     elif depth_range is not None:
         raise HueflightError(
@@ -86,11 +114,13 @@ def reconstruct(
         )
     else:
         estimates = paper.estimate(
-            light,
+            light.astype(np.float32, copy=False),
             exposures,
             calibration,
             range_correction=range_correction,
             pileup_correction=pileup_correction,
         )
     estimates.quality[counters_full(counts)] |= int(Quality.SATURATED)
-    return as_image(estimates, calibration, method=method)
+    leave_out(estimates, ~wanted)
+    image = as_image(estimates, calibration, method=method)
+    return image if bands is None else image.isel(band=numbers)

@@ -13,6 +13,12 @@ from hueflight.timebins import TimeBins
 RESOLVED_BINS_PER_FWHM = 4.0  #: with fewer, waveforms between bins are not known well enough
 
 
+def is_resolved(instrument: Instrument, bins: TimeBins) -> bool:
+    """Whether the shortest pulse is wide enough for the bins."""
+    shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
+    return shortest_ns >= RESOLVED_BINS_PER_FWHM * bins.span_ns / bins.count
+
+
 def resolved(light: NDArray[Any], instrument: Instrument, bins: TimeBins) -> NDArray[Any]:
     """Counts (…, bin) as they are, or averaged 1 : 2 : 1 over neighbours if pulses are too short.
 
@@ -20,8 +26,7 @@ def resolved(light: NDArray[Any], instrument: Instrument, bins: TimeBins) -> NDA
     guess. The average is the same for the reference and the scene, so it cancels; it costs a
     little of the photons' information and frees the result from the bins' raster.
     """
-    shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
-    if shortest_ns >= RESOLVED_BINS_PER_FWHM * bins.span_ns / bins.count:
+    if is_resolved(instrument, bins):
         return light
     wide = np.asarray(light, np.float32)
     before, after = np.roll(wide, 1, axis=-1), np.roll(wide, -1, axis=-1)

@@ -1,0 +1,131 @@
+/* Counts as they lie in memory: read, summed, freed of what early photons hid. */
+
+/* Where counts lie, and of which type: 'H', 'I' or 'f'. */
+typedef struct {
+    const char *data;
+    Py_ssize_t pixels, pixel_step, bin_step;
+    char type;
+} Light;
+
+/* Counts of one pixel as floats, in the sensor's bins. */
+INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
+{
+    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
+    Py_ssize_t by = light->bin_step;
+    if (light->type == 'H' && by == 2)
+        for (int i = 0; i < bins; i++)
+            to[i] = (float)((const uint16_t *)from)[i];
+    else if (light->type == 'H' && by == -2)
+        for (int i = 0; i < bins; i++)
+            to[i] = (float)((const uint16_t *)from)[-i];
+    else if (light->type == 'H')
+        for (int i = 0; i < bins; i++)
+            to[i] = (float)*(const uint16_t *)(from + i * by);
+    else if (light->type == 'I' && by == -4)
+        for (int i = 0; i < bins; i++)
+            to[i] = (float)((const uint32_t *)from)[-i];
+    else if (light->type == 'I' && by == 4)
+        for (int i = 0; i < bins; i++)
+            to[i] = (float)((const uint32_t *)from)[i];
+    else if (light->type == 'I')
+        for (int i = 0; i < bins; i++)
+            to[i] = (float)*(const uint32_t *)(from + i * by);
+    else if (by == 4)
+        memcpy(to, from, (size_t)bins * sizeof *to);
+    else if (by == -4)
+        for (int i = 0; i < bins; i++)
+            to[i] = ((const float *)from)[-i];
+    else
+        for (int i = 0; i < bins; i++)
+            to[i] = *(const float *)(from + i * by);
+}
+
+/* Sums of `factor` bins each within every view; returns how many. `sizes` may be those of the
+ * sensor or, with `before`, of bins that were summed already. */
+INLINE int group(const Plan *plan, int before, int factor, const float *from, float *to)
+{
+    int made = 0;
+    for (int v = 0; v < plan->views; v++) {
+        int size = (plan->sizes[v] + before - 1) / before, full = size / factor;
+        if (factor == 1)
+            memcpy(to + made, from, (size_t)size * sizeof *to);
+        else if (factor == 4)
+            for (int j = 0; j < full; j++)
+                to[made + j] = (from[4 * j] + from[4 * j + 1]) + (from[4 * j + 2] + from[4 * j + 3]);
+        else
+            for (int j = 0; j < full; j++) {
+                float x = 0;
+                for (int i = 0; i < factor; i++)
+                    x += from[j * factor + i];
+                to[made + j] = x;
+            }
+        if (full * factor < size) {
+            float rest = 0;
+            for (int i = full * factor; i < size; i++)
+                rest += from[i];
+            to[made + full] = rest;
+        }
+        made += (size + factor - 1) / factor;
+        from += size;
+    }
+    return made;
+}
+
+/* Sum of one pixel's counts. */
+INLINE double sum_counts(const Light *light, size_t pixel, int bins)
+{
+    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
+    Py_ssize_t by = light->bin_step;
+    if (light->type == 'H' && (by == 2 || by == -2)) {
+        const uint16_t *low = (const uint16_t *)(by > 0 ? from : from + (bins - 1) * by);
+        uint32_t whole = 0;
+        for (int i = 0; i < bins; i++)
+            whole += low[i];
+        return whole;
+    }
+    double whole = 0;
+    for (int i = 0; i < bins; i++, from += by)
+        whole += light->type == 'H' ? *(const uint16_t *)from
+               : light->type == 'I' ? *(const uint32_t *)from : *(const float *)from;
+    return whole;
+}
+
+/* e^x of numbers from 0 to 80, to 2 units in the last place. */
+INLINE vec exponential(vec x)
+{
+    ivec n = __builtin_convertvector(x * 1.44269504f + 0.5f, ivec);
+    vec whole = __builtin_convertvector(n, vec);
+    vec r = x - whole * 0.693359375f + whole * 2.12194440e-4f;
+    vec series = 0.041666666f + r * (0.0083333333f + r * (0.0013888889f + r * 0.00019841270f));
+    series = 1.0f + r * (1.0f + r * (0.5f + r * (0.16666667f + r * series)));
+    return series * (vec)((n + 127) << 23);
+}
+
+/* Counts as if early photons of a period had not kept later ones from being seen; see pileup.py.
+ * Both arrays have room for whole vectors. */
+INLINE void unshadow(float *counts, int bins, float rate, float *earlier)
+{
+    int blocks = (bins + LANES - 1) / LANES;
+    ivec lanes = lane_numbers();
+    vec before = {0};
+    for (int v = 0; v < blocks; v++) {
+        vec h = load(counts + v * LANES), sofar = h;
+        for (int by = 1; by < LANES; by *= 2)
+            sofar += choose(lanes >= by, picked(sofar, (lanes - by) & (LANES - 1)),
+                            (vec){0});
+        store(earlier + v * LANES, before + sofar - 0.5f * h);
+        before += fill(sofar[LANES - 1]);
+    }
+    float total = before[0], scale = rate / (total > 1e-30f ? total : 1e-30f);
+    vec whole = {0};
+    for (int v = 0; v < blocks; v++) {
+        vec x = load(earlier + v * LANES) * scale;
+        vec h = load(counts + v * LANES) * exponential(choose(x < 80.0f, x, fill(80.0f)));
+        store(counts + v * LANES, h);
+        whole += h;
+    }
+    float all = sum(whole);
+    scale = total / (all > 1e-30f ? all : 1e-30f);
+    for (int v = 0; v < blocks; v++)
+        store(counts + v * LANES, load(counts + v * LANES) * scale);
+}

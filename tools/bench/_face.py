@@ -28,7 +28,7 @@ STEP_NS = 0.008
 FIRST, CODES, GROUP = 3328, 256, 4  #: the stretch of time that is looked at, in codes of 4 steps
 PULSE_NS = 0.5  #: where the pulse of distance 0 is put
 DEPTH_RANGE = (0.15, 1.0)
-ROUNDS = 3  #: of pulse and depth in turn
+ROUNDS = 2  #: of pulse and depth in turn
 PERIOD_NS = STEP_NS * GROUP * CODES
 
 

@@ -76,11 +76,11 @@ def page(reports: Iterable[dict[str, Any]], counts: Iterable[dict[str, Any]], /)
                 for name, clock in report["clocks"].items()
             ),
             "yes" if report["reached"] else "**no**",
-            f"{report['seed']} of {len(report['tried'])}",
+            f"{report['seed']} ({len(report['tried'])})",
         ]
         for report in sorted(reports, key=_order)
     ]
-    lines += _table(["design, board", "cells", "clocks", "margin", "seed, tried"], rows)
+    lines += _table(["design, board", "cells", "clocks", "margin", "seed (tried)"], rows)
     counted = sorted(counts, key=_order)
     if counted:
         kinds = list(dict.fromkeys(kind for count in counted for kind in count["cells"]))

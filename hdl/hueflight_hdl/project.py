@@ -20,7 +20,7 @@ _KINDS = {
     "flip-flop": ("FDRE", "FDSE", "FDCE", "FDPE", "FDR", "FDS", "FD", "FDE", "TRELLIS_FF"),
     "block RAM": ("RAMB16BWER", "RAMB8BWER", "RAMB16", "DP16KD", "SB_RAM40_4K"),
     "LUT RAM": ("TRELLIS_DPR16X4",),
-    "carry": ("CARRY4", "MUXCY", "XORCY", "CCU2C", "SB_CARRY"),
+    "carry cell": ("CARRY4", "MUXCY", "XORCY", "CCU2C", "SB_CARRY"),
 }
 
 

@@ -88,6 +88,6 @@ def test_the_page_says_who_falls_short():
     good = next(line for line in lines if "illuminator, a" in line)
     bad = next(line for line in lines if "illuminator, b" in line)
     assert lines.index(good) < lines.index(bad)
-    assert "112.3 of 100 MHz (+12.3%) | yes | 3 of 2" in good
+    assert "112.3 of 100 MHz (+12.3%) | yes | 3 (2)" in good
     assert "**no**" in bad
     assert "| camera, c, 4 lanes | 7 | 2 |" in lines

@@ -85,6 +85,11 @@ class Fit:
         """Some of the pixels."""
         return Fit(*(getattr(self, name)[chosen] for name in Fit.__dataclass_fields__))
 
+    def put(self, chosen: NDArray[Any], other: Fit) -> None:
+        """Another fit's pixels in place of some of these."""
+        for name in Fit.__dataclass_fields__:
+            getattr(self, name)[chosen] = getattr(other, name)
+
 
 @dataclass
 class _State:

@@ -115,22 +115,14 @@ def estimate(
         chosen &= photons > 0
     if skips.defects:
         chosen &= usable
-    pixels = np.flatnonzero(chosen)
-    rates = None
-    if pileup_correction and frames is not None:
-        rates = photons_per_period(photons[chosen], frames[chosen], calibration.instrument)
-    if is_resolved(calibration.instrument, calibration.bins):
-        seen, rows_of = flat, pixels
-    else:
-        seen, rows_of = unshadowed(flat[pixels], rates), None
-        seen, rates = resolved(seen, calibration.instrument, calibration.bins), None
-    found = fit_pixels(
-        seen,
-        calibration.pixel_delay_ns[chosen],
+    found = fit_chosen(
+        flat,
+        chosen,
+        photons,
+        frames if pileup_correction else None,
+        calibration,
         plan,
-        skips.of_fit(calibration),
-        pixels=rows_of,
-        per_period=rates,
+        skips=skips,
         threads=threads,
     )
     known = wanted & usable & (photons > 0)
@@ -144,6 +136,40 @@ def estimate(
         range_correction=range_correction,
         pileup_correction=pileup_correction,
     )
+
+
+def fit_chosen(
+    light: NDArray[Any],
+    chosen: NDArray[np.bool_],
+    photons: NDArray[np.float64],
+    frames: NDArray[np.float64] | None,
+    calibration: Calibration,
+    plan: Plan,
+    *,
+    skips: Skips,
+    threads: int,
+) -> Fit:
+    """Fit of some pixels, in order.
+
+    Parameters
+    ----------
+    light : (row · col, bin) counts in time order.
+    chosen : (row, col) pixels to fit.
+    photons, frames : (row, col) counts and exposures behind them; without `frames` the photons
+        that an exposure hides behind its first are not undone.
+    """
+    pixels = np.flatnonzero(chosen)
+    delays_ns = calibration.pixel_delay_ns[chosen]
+    instrument = calibration.instrument
+    rates = None
+    if frames is not None:
+        rates = photons_per_period(photons[chosen], frames[chosen], instrument)
+    switches = skips.of_fit(calibration)
+    if is_resolved(instrument, calibration.bins):
+        options = {"pixels": pixels, "per_period": rates, "threads": threads}
+        return fit_pixels(light, delays_ns, plan, switches, **options)
+    seen = resolved(unshadowed(light[pixels], rates), instrument, calibration.bins)
+    return fit_pixels(seen, delays_ns, plan, switches, threads=threads)
 
 
 def in_metres(

@@ -1,17 +1,28 @@
 """The camera's proofs, and that each of them can fail."""
 
+from dataclasses import replace
+
 import pytest
-from amaranth.hdl import Module
+from amaranth.hdl import Module, Signal
 
 from hueflight_hdl.counter import SaturatingCounter
 from hueflight_hdl.frame import counters
 from hueflight_hdl.frame import formatter as formatter_module
 from hueflight_hdl.frame.formatter import FrameFormatter
 from hueflight_hdl.frame.front import FrameFront
-from hueflight_hdl.proofs import camera_formatter
+from hueflight_hdl.frame.guard import FrameGuard
+from hueflight_hdl.frame.seal import PacketSealer
+from hueflight_hdl.proofs import camera_capture, camera_formatter
 from hueflight_hdl.proofs.camera import PROOFS, main
+from hueflight_hdl.proofs.camera_capture import AbortHarness, VerdictHarness
 from hueflight_hdl.proofs.camera_counters import CountersHarness
-from hueflight_hdl.proofs.camera_formatter import CollisionHarness, StableHarness
+from hueflight_hdl.proofs.camera_formatter import (
+    CollisionHarness,
+    ProgressHarness,
+    SealHarness,
+    StableHarness,
+    WalkHarness,
+)
 from hueflight_hdl.proofs.proof import Proof, ProofError, prove
 
 QUICK = ("camera-stable", "camera-counters")
@@ -63,6 +74,11 @@ def test_a_link_that_is_not_waited_for_is_found(prover, monkeypatch):
         prove(Proof("", "broken", StableHarness, depth=2))
 
 
+def broken(harness, *, depth):
+    with pytest.raises(ProofError, match="failed"):
+        prove(Proof("", "broken", harness, depth=depth, induction=False))
+
+
 @pytest.mark.slow
 def test_a_bank_too_many_is_found(prover, monkeypatch):
     class Generous(FrameFront):
@@ -71,5 +87,53 @@ def test_a_bank_too_many_is_found(prover, monkeypatch):
             self.banks_free.init = form.banks + 1
 
     monkeypatch.setattr(formatter_module, "FrameFront", Generous)
-    with pytest.raises(ProofError, match="failed"):
-        prove(Proof("", "broken", CollisionHarness, depth=36, induction=False))
+    broken(CollisionHarness, depth=36)
+
+
+@pytest.mark.slow
+def test_a_walk_with_other_sizes_is_found(prover):
+    class Longer(WalkHarness):
+        def state(self, m):
+            self.form = replace(self.form, code_bits=7)
+            super().state(m)
+
+    broken(Longer, depth=26)
+
+
+@pytest.mark.slow
+def test_a_wrong_length_is_found(prover, monkeypatch):
+    class Longer(PacketSealer):
+        def elaborate(self, platform):
+            m = super().elaborate(platform)
+            with m.If(self.o.payload.last):
+                m.d.sync += self.o.payload.data[1].eq(1)
+            return m
+
+    monkeypatch.setattr(camera_formatter, "PacketSealer", Longer)
+    broken(SealHarness, depth=20)
+
+
+@pytest.mark.slow
+def test_too_little_time_is_found(prover):
+    class Hasty(ProgressHarness):
+        CLOCKS = 24
+
+    broken(Hasty, depth=38)
+
+    class Impatient(AbortHarness):
+        CLOCKS = 2
+
+    broken(Impatient, depth=20)
+
+
+@pytest.mark.slow
+def test_a_readout_without_a_verdict_is_found(prover, monkeypatch):
+    class Silent(FrameGuard):
+        def elaborate(self, platform):
+            said, self.dropped = self.dropped, Signal()
+            m = super().elaborate(platform)
+            self.dropped = said
+            return m
+
+    monkeypatch.setattr(camera_capture, "FrameGuard", Silent)
+    broken(VerdictHarness, depth=20)

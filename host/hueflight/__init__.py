@@ -3,6 +3,7 @@
 from hueflight.calibration import Calibration, calibrate
 from hueflight.errors import HueflightError
 from hueflight.instrument import Instrument
+from hueflight.reconstruction.alternated import reconstruct_alternated
 from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
 from hueflight.reconstruction.reconstruct import reconstruct
 
@@ -13,5 +14,6 @@ __all__ = [
     "calibrate",
     "depth_bound",
     "reconstruct",
+    "reconstruct_alternated",
     "reflectance_bound",
 ]

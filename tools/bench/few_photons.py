@@ -5,7 +5,8 @@
     python3 tools/dev.py bench few_photons scene --write      tables and pictures into docs/
 
 Sections: scene (the paper's Fig. 1, simulated), speed, ranges (of schedules), schedules (mislocks
-on the whole circle, some minutes), face (real photons of a mannequin's face, from ../shared/data/photons where that lies beside the project).
+on the whole circle, some minutes), face (real photons of a mannequin's face, from
+../shared/data/photons where that lies beside the project).
 """
 
 from __future__ import annotations
@@ -26,7 +27,6 @@ import hueflight as hf
 from hueflight import simulator
 from hueflight.histograms import frames_per_pixel
 from hueflight.reconstruction import few_photons
-from hueflight.reconstruction.alternated import reconstruct_alternated
 from hueflight.reconstruction.bounds import expected_shares
 from hueflight.reconstruction.quality import Quality
 from hueflight.schedules import Schedule, ambiguity, design_schedules, unambiguous_range
@@ -276,7 +276,7 @@ def mislocked(schedules: tuple[Schedule, ...], photons: float, share: float) -> 
                     counts[0], calibrations[0], depth_range=(0.0, CIRCLE * (1 - 1e-9))
                 )
             else:
-                image = reconstruct_alternated(counts, calibrations)
+                image = hf.reconstruct_alternated(counts, calibrations)
             far = [
                 np.abs((image[name].values - depth + CIRCLE / 2) % CIRCLE - CIRCLE / 2) > 1.9
                 for name in ("depth", "other_depth")

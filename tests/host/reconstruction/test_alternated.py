@@ -9,7 +9,6 @@ import pytest
 import hueflight as hf
 from hueflight.errors import CalibrationError, HistogramError
 from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.alternated import reconstruct_alternated
 from hueflight.reconstruction.bounds import bounds, depth_deviation, information
 from hueflight.reconstruction.quality import Quality
 from hueflight.timebins import TimeBins
@@ -77,7 +76,7 @@ def test_far_objects_of_every_colour(instruments, calibrations, draw):
         histograms = captures(
             instruments, draw, depth=depth, photons=50, reflectance=colour, seed=seed
         )
-        image = reconstruct_alternated(histograms, calibrations, depth_range=(0.2, 9.0))
+        image = hf.reconstruct_alternated(histograms, calibrations, depth_range=(0.2, 9.0))
         wrong += mislocks(image, depth).sum()
         total += image.depth.size
     # 2016 pixels; at a true rate of 0.02 % more than 4 come up by chance less than once in 10⁴
@@ -90,7 +89,7 @@ def test_whole_circle(instruments, calibrations, draw):
     for seed, (name, colour) in enumerate(COLOURS.items()):
         bad = [
             mislocks(
-                reconstruct_alternated(
+                hf.reconstruct_alternated(
                     captures(
                         instruments, draw, depth=depth, photons=50, background=5,
                         reflectance=colour, seed=seed,
@@ -128,7 +127,7 @@ def test_one_colour_is_ambiguous_to_one_schedule_only(small, draw):
             for counts, one in zip(references, pair, strict=True)
         ]
         histograms = captures(pair, draw, depth=depth, photons=200, reflectance=one_colour)
-        images.append(reconstruct_alternated(histograms, calibrations, depth_range=(0.2, 20)))
+        images.append(hf.reconstruct_alternated(histograms, calibrations, depth_range=(0.2, 20)))
     fooled, sure = images
     ambiguous = (fooled.quality.values & Quality.AMBIGUOUS) != 0
     kept = np.sort([fooled.depth.values, fooled.other_depth.values], axis=0)
@@ -142,7 +141,7 @@ def test_one_colour_is_ambiguous_to_one_schedule_only(small, draw):
 
 
 def test_nothing_of_the_precision_is_lost(instruments, calibrations, draw):
-    image = reconstruct_alternated(
+    image = hf.reconstruct_alternated(
         captures(instruments, draw, depth=1.7, photons=1000),
         calibrations,
         depth_range=(0.5, 3.0),
@@ -162,7 +161,7 @@ def test_shares_of_unequal_length(instruments, calibrations, draw):
         draw(instruments[0], depth=0.5, photons=15_000, frames=750_000, seed=1),
         draw(instruments[1], depth=0.5, photons=5_000, frames=250_000, seed=2),
     ]
-    image = reconstruct_alternated(histograms, calibrations, depth_range=(0.0, 2.0))
+    image = hf.reconstruct_alternated(histograms, calibrations, depth_range=(0.0, 2.0))
     np.testing.assert_allclose(image.reflectance.mean(("row", "col")), 1.0, atol=0.02)
     np.testing.assert_allclose(image.depth.mean(), 0.5, atol=2e-3)
 
@@ -177,7 +176,7 @@ def test_a_capture_may_count_its_pixels_delays_from_elsewhere(instruments, calib
     )
     histograms = captures(instruments, draw, depth=1.7, photons=1000)
     there, here = (
-        reconstruct_alternated(histograms, [first, other], depth_range=(0.5, 3.0))
+        hf.reconstruct_alternated(histograms, [first, other], depth_range=(0.5, 3.0))
         for other in (second, same)
     )
     np.testing.assert_allclose(there.depth, here.depth, atol=1e-4)
@@ -186,16 +185,16 @@ def test_a_capture_may_count_its_pixels_delays_from_elsewhere(instruments, calib
 def test_bad_calls(small, instruments, calibrations, draw):
     histograms = captures(instruments, draw, photons=100)
     with pytest.raises(CalibrationError, match="2 histograms and 1 calibrations"):
-        reconstruct_alternated(histograms, calibrations[:1])
+        hf.reconstruct_alternated(histograms, calibrations[:1])
     with pytest.raises(HistogramError, match="frames has 1 entries for 2 histograms"):
-        reconstruct_alternated(histograms, calibrations, frames=[100])
+        hf.reconstruct_alternated(histograms, calibrations, frames=[100])
     with pytest.raises(HistogramError, match=r"histograms\[1\] has shape"):
-        reconstruct_alternated([histograms[0], histograms[1][:3]], calibrations)
+        hf.reconstruct_alternated([histograms[0], histograms[1][:3]], calibrations)
     farther = dataclasses.replace(calibrations[1], distance=0.6)
     with pytest.raises(CalibrationError, match=r"calibrations\[1\].*reference distance"):
-        reconstruct_alternated(histograms, [calibrations[0], farther])
+        hf.reconstruct_alternated(histograms, [calibrations[0], farther])
     faster = dataclasses.replace(
         calibrations[1], instrument=small(rows=12, cols=12, frame_rate_hz=100)
     )
     with pytest.raises(CalibrationError, match="frame_rate_hz"):
-        reconstruct_alternated(histograms, [calibrations[0], faster])
+        hf.reconstruct_alternated(histograms, [calibrations[0], faster])

@@ -34,7 +34,7 @@ def in_color(
     emission : measured spectra of its LEDs; by default of the widths that it states.
     """
     source = instrument_of(image, instrument)
-    model = SpectralModel.of(source, emission)
+    model = SpectralModel.of(source, emission).of_bands(_bands(image, source))
     reflectance = image["reflectance"].transpose(..., "band")
     deviation = image["reflectance_std"].transpose(..., "band")
     per_photon = None
@@ -76,7 +76,8 @@ def color_picture(
     """
     source = instrument_of(image, instrument)
     low, high = VISIBLE_NM
-    if sum(low <= band.wavelength_nm <= high for band in source.bands) < LEAST_BANDS:
+    seen_nm = source.wavelengths_nm[_bands(image, source)]
+    if ((low <= seen_nm) & (seen_nm <= high)).sum() < LEAST_BANDS:
         return three_band_rgb(image)
     if white is not None and not (np.isfinite(white) and white > 0):
         raise HueflightError(f"white = {white!r}: give the reflectance to show as white, above 0")
@@ -86,3 +87,11 @@ def color_picture(
     filled = np.stack([fill_missing(plane) for plane in np.moveaxis(linear, -1, 0)], axis=-1)
     top = white or max(float(np.nanpercentile(filled.max(axis=-1), 98)), 1e-12)
     return encoded(np.nan_to_num(filled / top))
+
+
+def _bands(image: xr.Dataset, instrument: Instrument) -> list[int]:
+    """Which of the instrument's bands the image holds."""
+    names = [band.name for band in instrument.bands]
+    if "band_name" not in image.coords:
+        return list(range(len(names)))
+    return [names.index(str(name)) for name in np.atleast_1d(image["band_name"].values)]

@@ -9,6 +9,7 @@ taken for noise and the light level doesn't matter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,6 +55,14 @@ class SpectralModel:
             shares=emission.shares(instrument, NODES_NM),
             brightness=brightness / brightness.sum(),
             wavelengths_nm=instrument.wavelengths_nm,
+        )
+
+    def of_bands(self, bands: Sequence[int]) -> SpectralModel:
+        """The same with some of the bands only, in the order given."""
+        chosen = list(bands)
+        brightness = self.brightness[chosen]
+        return SpectralModel(
+            self.shares[chosen], brightness / brightness.sum(), self.wavelengths_nm[chosen]
         )
 
     @property

@@ -185,6 +185,12 @@ def test_picture_of_a_red_wall_is_red(image):
     assert brighter.max() < picture.max()
 
 
+def test_some_of_the_bands_suffice(image):
+    some = image[0].isel(band=[0, 4, 7])
+    picture = color_picture(some, instrument=image[1])
+    assert (picture[..., 0] > 2 * picture[..., 1:].max(axis=-1)).all()
+
+
 def test_pictures_that_cannot_be(image):
     with pytest.raises(HueflightError, match=r"white = -1\.0"):
         color_picture(image[0], instrument=image[1], white=-1.0)

@@ -27,7 +27,7 @@ class PacketCrossing(wiring.Component):
     words : Out(stream)
         In `domain`.
     level : Out
-        Words that wait, in `domain`.
+        Words that waited a clock ago, in `domain`.
     """
 
     def __init__(self, *, domain: str, depth: int) -> None:
@@ -56,6 +56,6 @@ class PacketCrossing(wiring.Component):
             self.words.payload.eq(queue.r_data),
             self.words.valid.eq(queue.r_rdy),
             queue.r_en.eq(self.words.ready),
-            self.level.eq(queue.r_level),
         ]
+        m.d[self.domain] += self.level.eq(queue.r_level)
         return m

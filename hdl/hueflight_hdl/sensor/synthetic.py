@@ -28,7 +28,7 @@ SYNTHETIC_LAYOUT = data.StructLayout(
 SEEDS = tuple((0x9E37_79B9 * lane) & 0xFFFF_FFFF for lane in range(8))
 """What tells the lanes' generators apart: multiples of 2^32 over the golden ratio."""
 
-LATENCY = 3
+LATENCY = 6
 
 
 class SyntheticSensor(wiring.Component):
@@ -171,10 +171,19 @@ class SyntheticSensor(wiring.Component):
             drawn = _delayed(m, generator[:8], 8, 1)
             m.d.comb += port.addr.eq(Cat(drawn, cell_port.data.material))
             jitter = generator[8 : 8 + JITTER_BITS] + generator[16 : 16 + JITTER_BITS]
-            late = _delayed(m, jitter, JITTER_BITS + 1, LATENCY - 1)
-            code = Signal(form.code_bits, name=f"scene_code{lane}")
-            m.d.comb += code.eq(port.data - shift - late)
-            codes.append(Mux(port.data == 0, 0, Mux(code == 0, -1, code)))
+            late = _delayed(m, jitter, JITTER_BITS + 1, 2)
+            # one step a clock: block memories are slow
+            drawn3, moved3 = Signal(form.code_bits), Signal(form.code_bits)
+            code4, dark4 = Signal(form.code_bits), Signal()
+            code5 = Signal(form.code_bits, name=f"scene_code{lane}")
+            m.d.sync += [
+                drawn3.eq(port.data),
+                moved3.eq(shift + late),
+                code4.eq(drawn3 - moved3),
+                dark4.eq(drawn3 == 0),
+                code5.eq(Mux(dark4, 0, Mux(code4 == 0, -1, code4))),
+            ]
+            codes.append(code5)
         return codes
 
 

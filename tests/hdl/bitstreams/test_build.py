@@ -22,6 +22,7 @@ def test_a_build_repeated_is_the_same_to_the_bit(builder, small, tmp_path):
     assert build(small(12), tmp_path / "other", seeds=[2]).sha256 != first.sha256
 
 
+@pytest.mark.slow
 def test_every_seed_is_tried_and_the_best_is_kept_where_none_reaches(builder, small, tmp_path):
     report = build(small(900), tmp_path, seeds=[3, 4, 5])
     assert not report.reached
@@ -49,6 +50,7 @@ def test_command_says_how_it_came_out(builder, small, tmp_path, monkeypatch, cap
     assert "short of margin" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_smaller_margin_is_accepted_aloud(builder, small, tmp_path, monkeypatch, capsys):
     reached = build(small(12), tmp_path).clocks["sync"].reached_mhz
     close = small(reached / 1.05)

@@ -10,6 +10,7 @@ enum {
     TILE = 64,    /* pixels counted at a time */
     LINE = 64,    /* bytes that come into the cache together */
     AHEAD = 8,    /* frames whose hits are fetched ahead */
+    FETCH_MOST = 1 << 18, /* bytes of rows that are fetched ahead: half of a small second cache */
     SLACK = 8,    /* bytes that may be read behind a payload: its packet's trailer is longer */
     MOST_FRAMES = 65535 /* what a tile's counters hold */
 };
@@ -166,7 +167,7 @@ INLINE Rows rows_ahead(const Count *count, size_t first, unsigned pixels, size_t
     const unsigned shift = count->code_bits + (count->wide ? 2 : 1);
     const uint8_t *at = (const uint8_t *)count->out + (first << shift);
     const size_t bytes = (size_t)pixels << shift;
-    return (Rows){at, at + bytes, steps ? bytes / LINE / steps + 1 : 0};
+    return (Rows){at, at + bytes, steps && bytes <= FETCH_MOST ? bytes / LINE / steps + 1 : 0};
 }
 
 INLINE void fetch_rows(Rows *rows)

@@ -71,22 +71,34 @@ INLINE int group(const Plan *plan, int before, int factor, const float *from, fl
     return made;
 }
 
-/* Sum of one pixel's counts. */
-INLINE double sum_counts(const Light *light, size_t pixel, int bins)
+/* Sum of one pixel's counts; `full` tells whether a counter is at the end of its type. */
+INLINE double sum_counts(const Light *light, size_t pixel, int bins, uint8_t *full)
 {
     const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
     Py_ssize_t by = light->bin_step;
+    *full = 0;
     if (light->type == 'H' && (by == 2 || by == -2)) {
         const uint16_t *low = (const uint16_t *)(by > 0 ? from : from + (bins - 1) * by);
         uint32_t whole = 0;
-        for (int i = 0; i < bins; i++)
+        uint16_t most = 0;
+        for (int i = 0; i < bins; i++) {
             whole += low[i];
+            most = low[i] > most ? low[i] : most;
+        }
+        *full = most == UINT16_MAX;
         return whole;
     }
     double whole = 0;
-    for (int i = 0; i < bins; i++, from += by)
-        whole += light->type == 'H' ? *(const uint16_t *)from
-               : light->type == 'I' ? *(const uint32_t *)from : *(const float *)from;
+    for (int i = 0; i < bins; i++, from += by) {
+        if (light->type == 'H') {
+            whole += *(const uint16_t *)from;
+            *full |= *(const uint16_t *)from == UINT16_MAX;
+        } else if (light->type == 'I') {
+            whole += *(const uint32_t *)from;
+            *full |= *(const uint32_t *)from == UINT32_MAX;
+        } else
+            whole += (double)*(const float *)from;
+    }
     return whole;
 }
 

@@ -392,27 +392,29 @@ done:
     return answer;
 }
 
-/* sums(light, which, results): counts of each pixel, as float64. */
+/* sums(light, which, results, full): counts of each pixel, as float64, and whether a counter is at
+ * the end of its type. */
 static PyObject *py_sums(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[3];
+    Py_buffer held[4];
     PyObject *answer = NULL;
-    int count = hold(args, held, 3, LIGHT, 2);
+    int count = hold(args, held, 4, LIGHT, 2);
     Light light;
-    if (count < 3 || !light_of(&held[LIGHT], &held[WHICH], &light))
+    if (count < 4 || !light_of(&held[LIGHT], &held[WHICH], &light))
         goto done;
     size_t pixels = (size_t)held[WHICH].len / 8;
-    if ((size_t)held[2].len < 8 * pixels) {
+    if ((size_t)held[2].len < 8 * pixels || (size_t)held[3].len < pixels) {
         PyErr_SetString(PyExc_ValueError, "sums: buffers do not fit one another");
         goto done;
     }
     const int64_t *which = held[WHICH].buf;
     double *results = held[2].buf;
+    uint8_t *full = held[3].buf;
     int bins = (int)held[LIGHT].shape[1];
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < pixels; i++)
-        results[i] = sum_counts(&light, (size_t)which[i], bins);
+        results[i] = sum_counts(&light, (size_t)which[i], bins, &full[i]);
     Py_END_ALLOW_THREADS
     answer = Py_None;
     Py_INCREF(answer);

@@ -136,13 +136,21 @@ def fit_pixels(
 
 def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
     """Counts (pixel,) of (pixel, bin)."""
+    return survey(light)[0]
+
+
+def survey(light: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Counts (pixel,) of (pixel, bin), and where a counter is at the end of its integer type."""
     kernel = compiled_kernel()
     wish = os.environ.get("HUEFLIGHT_KERNELS", "")
     if kernel is None or wish == "numpy" or light.dtype not in COUNT_TYPES:
-        return light.sum(axis=-1, dtype=np.float64)
-    sums = np.empty(len(light))
-    kernel.sums(light, np.arange(len(light)), sums)
-    return sums
+        full = np.zeros(len(light), bool)
+        if light.dtype.kind in "ui":
+            full = (light == np.iinfo(light.dtype).max).any(axis=-1)
+        return light.sum(axis=-1, dtype=np.float64), full
+    sums, full = np.empty(len(light)), np.empty(len(light), np.uint8)
+    kernel.sums(light, np.arange(len(light)), sums, full)
+    return sums, full.astype(bool)
 
 
 def contrasts(

@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HistogramError, HueflightError
-from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
 from hueflight.reconstruction import few_photons, joint, paper
+from hueflight.reconstruction.door import check_in
 from hueflight.reconstruction.image import as_image
-from hueflight.reconstruction.kernels import COUNT_TYPES
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.skips import (
     DEFAULT_SKIPS,
@@ -79,13 +78,10 @@ def reconstruct(
     if method not in METHODS:
         raise HistogramError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
     instrument = calibration.instrument
-    counts = check_histogram(histogram, instrument)
-    exposures = frames_per_pixel(counts, instrument, frames)
+    seen = check_in(histogram, calibration, frames)
+    counts, light, exposures = seen.counts, seen.light, seen.frames
     wanted = region_mask(region, instrument.image_shape)
     numbers = band_numbers(bands, calibration)
-    light = calibration.bins.in_time_order(counts)
-    if light.dtype not in COUNT_TYPES:
-        light = light.astype(np.float32)
     if method == "pooled":
         estimates = few_photons.estimate(
             counts,
@@ -121,7 +117,7 @@ def reconstruct(
             range_correction=range_correction,
             pileup_correction=pileup_correction,
         )
-    estimates.quality[counters_full(counts)] |= int(Quality.SATURATED)
+    estimates.quality[seen.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
     image = as_image(estimates, calibration, method=method)
     return image if bands is None else image.isel(band=numbers)

@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
+from hueflight.reconstruction.door import check_in
 from hueflight.reconstruction.fit import Fit
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.joint import fit_chosen, in_metres, plan_for, search_range_ns
-from hueflight.reconstruction.kernels import COUNT_TYPES, contrasts, photon_sums
+from hueflight.reconstruction.kernels import contrasts, photon_sums
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
@@ -90,14 +90,10 @@ class Video:
             If the histogram does not fit the instrument, or is empty.
         """
         calibration = self.calibration
-        counts = check_histogram(histogram, calibration.instrument)
-        exposures = frames_per_pixel(counts, calibration.instrument, frames)
-        light = calibration.bins.in_time_order(counts)
-        if light.dtype not in COUNT_TYPES:
-            light = light.astype(np.float32)
-        rows, cols, bins = light.shape
-        flat = light.reshape(rows * cols, bins)
-        changed = self._update(flat, exposures, (rows, cols))
+        seen = check_in(histogram, calibration, frames)
+        rows, cols, bins = seen.light.shape
+        flat = seen.light.reshape(rows * cols, bins)
+        changed = self._update(flat, seen.frames, (rows, cols))
         kept = self._kept
         assert kept is not None  # the update has made it
         estimates = in_metres(
@@ -110,7 +106,7 @@ class Video:
             **self._corrections,
         )
         estimates.quality[calibration.usable & ~changed] |= int(Quality.SKIPPED)
-        estimates.quality[counters_full(counts)] |= int(Quality.SATURATED)
+        estimates.quality[seen.full] |= int(Quality.SATURATED)
         return as_image(estimates, calibration, method="joint")
 
     def _update(

@@ -180,3 +180,17 @@ def test_sums_of_every_type(setting, monkeypatch):
         np.testing.assert_array_equal(kernels.photon_sums(light.astype(dtype)), expected)
         np.testing.assert_array_equal(kernels.photon_sums(light.astype(dtype)[:, ::-1]), expected)
     np.testing.assert_array_equal(kernels.photon_sums(light), expected)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.uint64])
+@pytest.mark.parametrize("backend", ["", "numpy"])
+def test_full_counters_are_found_in_the_same_pass(setting, monkeypatch, dtype, backend):
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
+    _, calibration, counts = setting
+    counts = counts.astype(dtype)
+    counts[..., 0] = 0
+    counts[3, 4, 100] = np.iinfo(dtype).max
+    image = hf.reconstruct(counts, calibration, frames=10**6, pileup_correction=False)
+    full = (image["quality"].values & int(Quality.SATURATED)) != 0
+    assert full[3, 4]
+    assert full.sum() == 1

@@ -1,0 +1,58 @@
+"""What comes in at the door: a histogram checked, its exposures and full counters, in one pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hueflight.calibration import Calibration
+from hueflight.histograms import check_histogram, counters_full, frames_per_pixel
+from hueflight.reconstruction.kernels import COUNT_TYPES, survey
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A histogram that fits its instrument.
+
+    Attributes
+    ----------
+    counts : (row, col, code).
+    light : (row, col, bin) in time order, of a type that the fit reads.
+    frames : (row, col) exposures, or None where it can't be known.
+    full : (row, col) a counter is at its end.
+    """
+
+    counts: NDArray[Any]
+    light: NDArray[Any]
+    frames: NDArray[np.float64] | None
+    full: NDArray[np.bool_]
+
+
+def check_in(histogram: ArrayLike, calibration: Calibration, frames: ArrayLike | None) -> Seen:
+    """Check a histogram and see what is behind it.
+
+    Raises
+    ------
+    HistogramError
+        If it does not fit the calibration's instrument, or is empty.
+    """
+    instrument = calibration.instrument
+    counts = np.asarray(histogram)
+    if counts.shape == instrument.histogram_shape and counts.dtype in (np.uint16, np.uint32):
+        sums, full = (
+            plane.reshape(counts.shape[:2]) for plane in survey(counts.reshape(-1, counts.shape[2]))
+        )
+        if not sums.any():
+            check_histogram(counts, instrument)  # says so
+        known = frames is None and instrument.sensor.reports_empty
+        exposures = sums if known else frames_per_pixel(counts, instrument, frames)
+    else:
+        counts = check_histogram(counts, instrument)
+        exposures, full = frames_per_pixel(counts, instrument, frames), counters_full(counts)
+    light = calibration.bins.in_time_order(counts)
+    if light.dtype not in COUNT_TYPES:
+        light = light.astype(np.float32)
+    return Seen(counts, light, exposures, full)

@@ -298,13 +298,13 @@ def _plot(colours: dict[str, dict[str, Outcome]], path: Path) -> None:
         some = [outcomes[name] for outcomes in colours.values()]
         speed = _speed(colours, name)
         worst = max(o.depth_ratio for o in some)
-        (line,) = axes.plot(speed, some[0].depth_ratio, "o")
+        (line,) = axes.plot(speed, some[0].depth_ratio, "o", label=name)
         axes.plot([speed, speed], [some[0].depth_ratio, worst], "-", color=line.get_color())
-        axes.annotate(name, (speed, worst), (4, 4), textcoords="offset points", fontsize=8)
     axes.set(xscale="log", yscale="log", xlabel="speed ÷ that of the paper's method, one thread",
              ylabel="depth RMSE ÷ Cramér–Rao bound")  # fmt: skip
     axes.axhline(1, color="0.6", linewidth=0.8)
     axes.set_title("620 photons, 10 % background: white (dot) to the worst colour", fontsize=10)
+    axes.legend(fontsize=8, loc="upper center")
     axes.grid(visible=True, which="both", alpha=0.25)
     figure.savefig(path, dpi=110)
 

@@ -1,14 +1,6 @@
-"""What is proved of the camera.
-
-    python -m hueflight_hdl.proofs.camera [name ...]
-
-proves all of it, or what is named; seconds to minutes each.
-"""
+"""What is proved of the camera."""
 
 from __future__ import annotations
-
-import sys
-from collections.abc import Sequence
 
 from .camera_capture import AbortHarness, VerdictHarness
 from .camera_counters import CountersHarness
@@ -19,7 +11,7 @@ from .camera_formatter import (
     StableHarness,
     WalkHarness,
 )
-from .proof import Proof, ProofError, prove
+from .proof import Proof
 
 PROOFS = (
     Proof(
@@ -82,25 +74,3 @@ PROOFS = (
     ),
 )
 """In the order of what they cost."""
-
-
-def main(names: Sequence[str]) -> int:
-    """Prove what is named, by default everything; return the number of failures."""
-    known = {proof.name: proof for proof in PROOFS}
-    if unknown := [name for name in names if name not in known]:
-        raise ProofError(f"no proof {', '.join(unknown)}: there are {', '.join(known)}")
-    failures = 0
-    for name in names or known:
-        proof = known[name]
-        print(f"{name}: {proof.statement}", flush=True)
-        try:
-            prove(proof)
-            print(f"  proved {proof.kind}", flush=True)
-        except ProofError as error:
-            failures += 1
-            print(f"  {error}", flush=True)
-    return failures
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

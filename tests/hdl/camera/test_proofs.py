@@ -13,7 +13,7 @@ from hueflight_hdl.frame.front import FrameFront
 from hueflight_hdl.frame.guard import FrameGuard
 from hueflight_hdl.frame.seal import PacketSealer
 from hueflight_hdl.proofs import camera_capture, camera_formatter
-from hueflight_hdl.proofs.camera import PROOFS, main
+from hueflight_hdl.proofs.camera import PROOFS
 from hueflight_hdl.proofs.camera_capture import AbortHarness, VerdictHarness
 from hueflight_hdl.proofs.camera_counters import CountersHarness
 from hueflight_hdl.proofs.camera_formatter import (
@@ -37,11 +37,6 @@ def test_quick(proof, prover):
 @pytest.mark.parametrize("proof", [p for p in PROOFS if p.name not in QUICK], ids=lambda p: p.name)
 def test_other(proof, prover):
     prove(proof)
-
-
-def test_unknown_names_are_refused():
-    with pytest.raises(ProofError, match="camera-nothing: there are camera-stable"):
-        main(["camera-nothing"])
 
 
 @pytest.mark.slow

@@ -74,3 +74,12 @@ def test_every_pin_is_placed_once(tmp_path, design, board, constraints):
     assert len(pins) == len(set(pins))
     # nine LEDs, trigger in and out, frame sync, eight markers, serial line, clock, lamp
     assert len(pins) >= 9 + 2 + 1 + 8 + 2 + 1 + 1
+
+
+@pytest.mark.slow
+def test_the_same_source_makes_the_same_netlist(tmp_path):
+    for name in ("one", "two"):
+        prepare(find_target("camera", "ecpix5-85f"), tmp_path / name)
+    for file in ("top.il", "top.lpf", "top.ys"):
+        one, two = (tmp_path / name / file for name in ("one", "two"))
+        assert one.read_bytes() == two.read_bytes()

@@ -1,0 +1,205 @@
+"""Benchmark of reconstruction: pixels per second of every method and skip.
+
+    python3 tools/dev.py bench reconstruction                    all of it, about a minute
+    python3 tools/dev.py bench reconstruction methods skips      some sections
+
+24 576 pixels (the paper's chip), 620 photons each and 10 % background unless a row says otherwise,
+one thread unless it says two. Every table has its references from the same run: `read` sums the
+histogram (NumPy), which any method must do at least; RT is real time, thirty images a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+from _measure import PIXELS, best_of, packets_of, table
+from numpy.typing import NDArray
+
+import hueflight as hf
+from hueflight.calibration import Calibration
+from hueflight.ingest import accumulate
+from hueflight.reconstruction import kernels
+from hueflight.reconstruction.bounds import expected_shares
+from hueflight.reconstruction.fit import Switches
+from hueflight.reconstruction.from_packets import image_of_packets
+from hueflight.reconstruction.joint import plan_for, search_range_ns
+from hueflight.reconstruction.skips import NO_SKIPS, Skips
+from hueflight.reconstruction.video import Video
+
+IMAGES_PER_SECOND = 30
+FRAMES = 620  #: per image at 18.6 kfps
+EXPOSURES = 60_000  #: of the slow captures: pile-up is negligible
+PHOTONS, BACKGROUND = 620, 62
+
+instrument = hf.Instrument.load("paper")
+rng = np.random.default_rng(1)
+
+
+def drawn(photons: float, background: float, *, distance: float = 0.9) -> NDArray[np.uint16]:
+    """A white wall, (row, col, code)."""
+    shares, _, widths = expected_shares(instrument, distance)
+    amplitudes = instrument.band_brightness()
+    mean = (amplitudes / amplitudes.sum() * photons) @ shares + background * widths
+    bins = instrument.time_bins()
+    counts = rng.poisson(mean, (*instrument.image_shape, bins.count))
+    histogram = np.zeros(instrument.histogram_shape, np.uint16)
+    histogram[..., bins.codes] = counts
+    histogram[..., 0] = np.maximum(EXPOSURES - counts.sum(axis=-1), 0)
+    return histogram
+
+
+def calibrated() -> Calibration:
+    """A calibration of 5000 photons a pixel."""
+    return hf.calibrate(drawn(5000, 100, distance=0.4), instrument, distance=0.4)
+
+
+def rows_of(seconds: dict[str, float], against: str) -> list[list[str]]:
+    """Table lines: megapixels per second, against real time and against a reference."""
+    return [
+        [
+            name,
+            f"{taken * 1e3:.1f}",
+            f"{PIXELS / taken / 1e6:.2f}",
+            f"{1 / taken / IMAGES_PER_SECOND:.2f}",
+            f"{seconds[against] / taken:.2f}",
+        ]
+        for name, taken in seconds.items()
+    ]
+
+
+def show(title: str, seconds: dict[str, float], against: str) -> None:
+    """Print one section."""
+    head = ["", "ms an image", "Mpixel/s", "× RT", f"× '{against}'"]
+    print(f"\n## {title}\n\n{table(head, rows_of(seconds, against))}", flush=True)
+
+
+def methods(calibration: Calibration) -> None:
+    """Kernels by photons, and whole images."""
+    plan = plan_for(calibration, search_range_ns(calibration, None))
+    offsets = calibration.pixel_delay_ns.ravel()
+    histograms = {
+        (photons, background): drawn(photons, background)
+        for photons, background in ((PHOTONS, BACKGROUND), (100, 100), (5000, 500))
+    }
+    contenders: dict[str, Callable[[], object]] = {}
+    for (photons, background), histogram in histograms.items():
+        flat = calibration.bins.in_time_order(histogram).reshape(PIXELS, -1)
+        name = f"joint fit, {photons} + {background} photons"
+        contenders[name] = lambda light=flat: kernels.fit_pixels(light, offsets, plan)
+        if (photons, background) == (PHOTONS, BACKGROUND):
+            contenders[name + ", two threads"] = lambda light=flat: kernels.fit_pixels(
+                light, offsets, plan, threads=2
+            )
+    whole = histograms[PHOTONS, BACKGROUND]
+    contenders["joint, whole image"] = lambda: hf.reconstruct(whole, calibration)
+    contenders["paper, whole image"] = lambda: hf.reconstruct(whole, calibration, method="paper")
+    contenders["read"] = lambda: whole.sum(axis=-1, dtype=np.uint32)
+    show("Methods", best_of(contenders, rounds=7), "read")
+
+
+def skips(calibration: Calibration) -> None:
+    """What each skip saves of a whole image."""
+    full = drawn(PHOTONS, BACKGROUND)
+    tenth = np.zeros(instrument.image_shape, bool)
+    tenth[:, ::10] = True
+    empty = full.copy()
+    empty[~tenth, 1:] = 0
+    empty[~tenth, 0] = EXPOSURES
+    next_still = drawn(PHOTONS, BACKGROUND)
+    next_tenth = next_still.copy()
+    moved = drawn(PHOTONS, BACKGROUND, distance=1.3)
+    next_tenth[tenth] = moved[tenth]
+    back_again = drawn(PHOTONS, BACKGROUND)
+
+    def image(histogram: NDArray[np.uint16], **options: object) -> Callable[[], object]:
+        return lambda: hf.reconstruct(histogram, calibration, **options)  # type: ignore[arg-type]
+
+    def sequence(change_sigma: float, *others: NDArray[np.uint16]) -> Callable[[], object]:
+        video = Video(calibration, change_sigma=change_sigma)
+        video.next(full)
+        turn = 0
+
+        def run() -> object:
+            nonlocal turn
+            turn += 1
+            return video.next(others[turn % len(others)])
+
+        return run
+
+    known = float(np.nanmedian(hf.reconstruct(full, calibration)["depth_std"]))
+    contenders: dict[str, Callable[[], object]] = {
+        "all skips off": image(full, skips=NO_SKIPS),
+        "all skips, nothing to skip": image(full),
+        "rough steps off": image(full, skips=Skips(switches=Switches(rough=False))),
+        "settling off": image(full, skips=Skips(switches=Switches(settle=False))),
+        "depth target met everywhere": image(full, skips=Skips(depth_target=2 * known)),
+        "region: a tenth": image(full, region=tenth),
+        "bands: three of nine": image(full, bands=[1, 4, 7]),
+        "90 % empty": image(empty),
+        "90 % empty, skip off": image(empty, skips=Skips(empty=False)),
+        "video, all pixels fitted": sequence(0, full, next_still),
+        "video, nothing changed": sequence(4, full, next_still),
+        "video, 90 % unchanged": sequence(4, next_tenth, back_again),
+    }
+    show("Skips", best_of(contenders, rounds=6), "all skips, nothing to skip")
+
+
+def fused(calibration: Calibration) -> None:
+    """620 frames of packets to depth and nine bands."""
+    shares, _, widths = expected_shares(instrument, 0.9)
+    amplitudes = instrument.band_brightness()
+    mean = amplitudes / amplitudes.sum() @ shares * 0.9 + 0.1 * widths
+    codes_of = instrument.time_bins().codes
+    contenders: dict[str, Callable[[], object]] = {}
+    work = np.zeros(instrument.histogram_shape, np.uint16)
+    for occupancy in (0.3, 0.95):
+        shape = (FRAMES, *instrument.image_shape)
+        codes = rng.choice(codes_of.astype(np.uint16), shape, p=mean / mean.sum())
+        codes[rng.random(shape, np.float32) >= occupancy] = 0
+        packets = packets_of(iter(codes))
+        name = f"occupancy {occupancy}"
+        for threads in (1, 2):
+            contenders[f"{name}, counts only, {threads} threads"] = (
+                lambda data=packets, threads=threads: accumulate(
+                    data, instrument, out=emptied(work), threads=threads
+                )
+            )
+            contenders[f"{name}, packets to image, {threads} threads"] = (
+                lambda data=packets, threads=threads: image_of_packets(
+                    data, calibration, out=work, threads=threads
+                )
+            )
+    contenders["emptying the counters"] = lambda: work.fill(0)
+    show("Packets to image (620 frames)", best_of(contenders, rounds=6), "emptying the counters")
+
+
+def emptied(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """The same memory, all zero."""
+    counts.fill(0)
+    return counts
+
+
+SECTIONS = {"methods": methods, "skips": skips, "fused": fused}
+
+
+def main() -> None:
+    """Run the sections asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sections", nargs="*", help=", ".join(SECTIONS))
+    wanted = parser.parse_args().sections or list(SECTIONS)
+    unknown = [name for name in wanted if name not in SECTIONS]
+    if unknown:
+        parser.error(f"no section {unknown[0]!r}; there are {', '.join(SECTIONS)}")
+    lanes = getattr(kernels.compiled_kernel(), "LANES", 1)
+    print(f"kernel: {kernels.chosen_backend(9)}, {lanes} lanes")
+    calibration = calibrated()
+    for name in wanted:
+        SECTIONS[name](calibration)
+
+
+if __name__ == "__main__":
+    main()

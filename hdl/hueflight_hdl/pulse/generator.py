@@ -9,9 +9,9 @@ from amaranth.lib.wiring import In, Out
 
 from hueflight_protocol.illuminator_map import TriggerSource
 
-from ..counter import SaturatingCounter
 from .channel import Channel
 from .config import MIN_SPACING, Limits, PulseConfig
+from .counter import FastCounter
 from .phases import PhaseStatistics
 from .program import WORDS_PER_STEP, ProgramReader
 from .sequencer import Sequencer
@@ -307,7 +307,7 @@ class PulseGenerator(wiring.Component):
         events = (seen, train.served, train.ignored, train.restarted, train.swapped)
         full = Signal(len(COUNTERS))
         for number, (name, event) in enumerate(zip(COUNTERS, events, strict=True)):
-            counter = SaturatingCounter(32, domain="pulse")
+            counter = FastCounter()
             m.submodules[name] = counter
             m.d.comb += [
                 counter.event.eq(event),

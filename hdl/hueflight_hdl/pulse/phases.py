@@ -6,8 +6,8 @@ from amaranth.hdl import Module, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out
 
-from ..counter import SaturatingCounter
 from .config import PulseConfig
+from .counter import FastCounter
 
 
 class PhaseStatistics(wiring.Component):
@@ -60,7 +60,7 @@ class PhaseStatistics(wiring.Component):
             ]
         full = Signal(self.config.lanes)
         for lane in range(self.config.lanes):
-            counter = SaturatingCounter(32, domain="pulse")
+            counter = FastCounter()
             m.submodules[f"count{lane}"] = counter
             hit = Signal()
             m.d.pulse += hit.eq(self.event & (self.lane == lane))

@@ -1,0 +1,64 @@
+"""A counter for the fast clock: its carry takes a clock from one half to the other."""
+
+from __future__ import annotations
+
+from amaranth.hdl import Cat, Module, Mux, Signal
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In, Out
+
+
+class FastCounter(wiring.Component):
+    """Counts events and stays at its largest value; a carry through half the bits at a time.
+
+    Parameters
+    ----------
+    width : int
+        Bits; even.
+
+    Members
+    -------
+    event : In(1)
+    clear : In(1)
+        Has precedence.
+    value : Out(width)
+        Four clocks after the event; what it shows was the count in some clock.
+    saturated : Out(1)
+        There was one event more than the value can show.
+    """
+
+    def __init__(self, width: int = 32) -> None:
+        self.width = width
+        super().__init__(
+            {
+                "event": In(1),
+                "clear": In(1),
+                "value": Out(width),
+                "saturated": Out(1),
+            }
+        )
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        half = self.width // 2
+        event = Signal()
+        low = Signal(half + 1)  # the carry on top
+        low_before = Signal(half)  # as old as `high`
+        high = Signal(half + 1)
+        m.d.pulse += [
+            event.eq(self.event),
+            low.eq(low[:half] + event),
+            low_before.eq(low[:half]),
+            high.eq(high[:half] + low[half]),
+            self.saturated.eq(self.saturated | high[half]),
+            self.value.eq(Mux(self.saturated | high[half], -1, Cat(low_before, high[:half]))),
+        ]
+        with m.If(self.clear):
+            m.d.pulse += [
+                event.eq(0),
+                low.eq(0),
+                low_before.eq(0),
+                high.eq(0),
+                self.saturated.eq(0),
+                self.value.eq(0),
+            ]
+        return m

@@ -22,11 +22,13 @@ from hueflight.instrument import Instrument
 
 NODES_NM = np.arange(300.0, 1101.0, 5.0)  #: where a spectrum is sampled
 #: Prior of a reflectance relative to its mean over the bands: a Matérn-3/2 process (continuous,
-#: with kinks as at absorption edges) of this length and variance about a level of this variance.
-#: Any length from 60 to 120 nm serves surfaces equally well.
+#: with kinks as at absorption edges) of this length about a level of this variance. Any length
+#: from 60 to 120 nm serves surfaces equally well.
 LENGTH_NM = 80.0
-VARIANCE = 0.4
 LEVEL_VARIANCE = 1.0
+#: Surfaces are neutral, pale or colourful: the process has one of these variances, and how well
+#: each explains the bands is its weight. So noise on a grey is not taken for a colour.
+VARIANCES = (0.002, 0.03, 0.5)
 LEAST_NOISE = 0.002  #: deviation that is always allowed for, relative to the mean over the bands
 UNKNOWN = 1e6  #: variance of a band that says nothing
 
@@ -66,10 +68,10 @@ class SpectralModel:
         )
 
     @property
-    def prior(self) -> NDArray[np.float64]:
-        """Covariance (node, node) of relative spectra."""
+    def correlation(self) -> NDArray[np.float64]:
+        """Of relative spectra between wavelengths, (node, node)."""
         apart = np.sqrt(3) * np.abs(NODES_NM[:, None] - NODES_NM) / LENGTH_NM
-        return VARIANCE * (1 + apart) * np.exp(-apart) + LEVEL_VARIANCE
+        return (1 + apart) * np.exp(-apart)
 
     def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Query (wavelength, node) for `recover`: the reflectance at single wavelengths."""
@@ -85,7 +87,8 @@ class SpectralModel:
         self, query: NDArray[np.floating], *, noise: float = LEAST_NOISE
     ) -> NDArray[np.float64]:
         """One map (query, band) for all pixels: the estimate for bands of one known noise."""
-        prior = self.prior * 0.1  # the mean square reflectance of coloured surfaces
+        # at the mean square reflectance of coloured surfaces
+        prior = 0.1 * (VARIANCES[-1] * self.correlation + LEVEL_VARIANCE)
         seen = self.shares @ prior
         normal = seen @ self.shares.T + noise**2 * np.eye(len(self.shares))
         solved = np.linalg.solve(normal, seen @ np.asarray(query, np.float64).T)
@@ -131,32 +134,53 @@ class SpectralModel:
         level = np.maximum(np.maximum(level, np.sqrt(own)), 1e-12)
 
         x, noise = x / level, np.where(known, variance / level**2 + LEAST_NOISE**2, UNKNOWN)
-        seen = self.shares @ self.prior
-        smooth = seen @ self.shares.T
         white = self.shares.sum(axis=1)  # what the mean, a level of 1, gives: ones
-        answer = self._solved(smooth, noise, x - white)
+        expected, _ = self._explained(x - white, noise, self.shares)
         if per_photon is not None:
             photon = np.broadcast_to(np.asarray(per_photon, np.float64), x.shape) / level
-            expected = white + answer @ smooth
-            moved = noise + photon * (np.maximum(expected, 0) - np.maximum(x, 0))
+            moved = noise + photon * (np.maximum(white + expected, 0) - np.maximum(x, 0))
             noise = np.where(known, np.maximum(moved, photon**2 / 2), UNKNOWN)
-            answer = self._solved(smooth, noise, x - white)
         weights = np.asarray(query, np.float64)
-        gain = seen @ weights.T  # (band, query)
-        values = weights.sum(axis=1) + answer @ gain
-        spread = np.einsum("qn,nm,qm->q", weights, self.prior, weights)
-        matrices = smooth + noise[..., None] * np.eye(len(smooth))
-        explained = np.einsum("bq,...bq->...q", gain, np.linalg.solve(matrices, gain))
-        std = np.sqrt(np.maximum(spread - explained, 0))
+        change, variance = self._explained(x - white, noise, weights)
+        values, std = weights.sum(axis=1) + change, np.sqrt(variance)
         nothing = ~known.any(axis=-1, keepdims=True)
         return np.where(nothing, np.nan, values * level), np.where(nothing, np.nan, std * level)
 
-    @staticmethod
-    def _solved(
-        smooth: NDArray[np.float64], noise: NDArray[np.float64], right: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        matrices = smooth + noise[..., None] * np.eye(len(smooth))
-        return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], np.float64)
+    def _explained(
+        self,
+        off: NDArray[np.float64],
+        noise: NDArray[np.float64],
+        query: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and variance (…, query) of a query's difference from a level of 1.
+
+        Each variance of the prior has its own answer; the evidence of the bands weighs them.
+
+        Parameters
+        ----------
+        off : (…, band) measured less 1; noise : (…, band) variance of it.
+        """
+        answers, doubts, evidence = [], [], []
+        correlation = self.correlation
+        for size in VARIANCES:
+            prior = size * correlation + LEVEL_VARIANCE
+            seen = self.shares @ prior
+            gain = seen @ query.T  # (band, query)
+            matrices = seen @ self.shares.T + noise[..., None] * np.eye(len(self.shares))
+            right = np.concatenate(
+                [off[..., None], np.broadcast_to(gain, (*off.shape, len(query)))], axis=-1
+            )
+            solved = np.linalg.solve(matrices, right)
+            answers.append(np.einsum("bq,...b->...q", gain, solved[..., 0]))
+            explained = np.einsum("bq,...bq->...q", gain, solved[..., 1:])
+            doubts.append(np.einsum("qn,nm,qm->q", query, prior, query) - explained)
+            surprise = (off * solved[..., 0]).sum(axis=-1) + np.linalg.slogdet(matrices)[1]
+            evidence.append(-surprise / 2)
+        chance = np.exp(np.array(evidence) - np.max(evidence, axis=0))
+        chance = (chance / chance.sum(axis=0))[..., None]
+        mean = (chance * answers).sum(axis=0)
+        spread = np.maximum(doubts, 0) + (np.array(answers) - mean) ** 2
+        return mean, (chance * spread).sum(axis=0)
 
     def to_xyz(self, *, illuminant: Illuminant = "D65") -> NDArray[np.float64]:
         """Query (3, node) for `recover`: CIE 1931 XYZ, white at Y = 1."""

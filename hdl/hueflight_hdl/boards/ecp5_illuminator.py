@@ -17,9 +17,11 @@ from .pins import drive
 FAST_ROUTES = {
     # keeps yosys from merging the channels' equal registers into nets that span the device
     "script_after_read": "setattr -mod -set keep_hierarchy 1 *.channel? *.channel??",
-    # and from making resets of choices: those are the slowest wires
+    # and from making resets of choices there: those are the slowest wires
     "synth_opts": "-run begin:map_ffs",
-    "script_after_synth": "dffunmap -srst-only; synth_ecp5 -run map_ffs: -top top",
+    "script_after_synth": (
+        "dffunmap -srst-only *.channel? *.channel??; synth_ecp5 -run map_ffs: -top top"
+    ),
 }
 
 

@@ -3,7 +3,7 @@
     python3 tools/dev.py bench ingest                  all of it, about two minutes
     python3 tools/dev.py bench ingest kernels growth   some sections
     python3 tools/dev.py bench ingest instructions --gate 6
-    python3 tools/dev.py bench ingest paced --seconds 600 --plot docs/ingest-paced.svg
+    python3 tools/dev.py bench ingest paced --seconds 600 --plot docs/images/ingest-paced.svg
 
 Real time (RT) is the paper's chip at full rate: 18 600 frames of 24 576 pixels per second.
 """

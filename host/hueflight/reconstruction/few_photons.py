@@ -30,6 +30,7 @@ from hueflight.reconstruction.pooling import (
     Limits,
     Photons,
     Pooled,
+    in_parts,
     lag_likelihood,
     list_photons,
     pool,
@@ -103,11 +104,17 @@ def estimate(
         raise HueflightError(f"enough = {enough!r}: must be above 0 photons")
     search_ns = joint.search_range_ns(calibration, depth_range)
     tables = tables_for(calibration, search_ns)
-    seen = photons_of(counts, calibration, tables)
+    seen = photons_of(counts, calibration, tables, threads=threads)
     shape = counts.shape[:2]
     own = seen.sums(seen.weights).reshape(shape)
-    sight = _sight(seen, shape, tables, search_ns)
-    pilot = sight.delays(_square_sums(_corner_sums(sight.likelihood), _pilot_reach(own)))
+    sight = _sight(seen, shape, tables, search_ns, threads)
+    reach = _pilot_reach(own)
+
+    def over_squares(stretch: tuple[int, int]) -> NDArray[np.float64]:
+        return _square_sums(_corner_sums(sight.likelihood[..., slice(*stretch)]), reach)
+
+    squares = in_parts(over_squares, sight.lags_ns.size, threads, threads)
+    pilot = sight.delays(np.concatenate(squares, axis=-1))
     pilot = _sharpened(seen, pilot, sight, calibration.usable, tables, threads)
     pools = _pools(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
     pooled = _in_metres(
@@ -143,14 +150,22 @@ def estimate(
     return replace(pooled, **merged, resolution=np.where(sufficient, 1.0, resolution))
 
 
-def photons_of(counts: NDArray[np.generic], calibration: Calibration, tables: Tables) -> Photons:
+def photons_of(
+    counts: NDArray[np.generic], calibration: Calibration, tables: Tables, *, threads: int = 1
+) -> Photons:
     """Photons of all usable pixels; of the others none."""
     bins = calibration.bins
     times_ns = np.full(counts.shape[-1], -1.0, np.float32)
     times_ns[bins.codes] = bins.centers_ns
     offsets_ns = np.where(calibration.usable, calibration.pixel_delay_ns, 0).astype(np.float32)
     flat = counts.reshape(-1, counts.shape[-1])
-    seen = list_photons(flat, times_ns, offsets_ns.ravel(), tables.period_ns)
+    offsets_ns = offsets_ns.ravel()
+
+    def listed(stretch: tuple[int, int]) -> Photons:
+        part = slice(*stretch)
+        return list_photons(flat[part], times_ns, offsets_ns[part], tables.period_ns)
+
+    seen = Photons.joined(in_parts(listed, len(flat), threads, threads))
     unusable = ~calibration.usable.ravel()
     if unusable.any():
         seen.weights[unusable[seen.owners]] = 0
@@ -181,7 +196,11 @@ class _Sight:
 
 
 def _sight(
-    seen: Photons, shape: tuple[int, ...], tables: Tables, search_ns: tuple[float, float]
+    seen: Photons,
+    shape: tuple[int, ...],
+    tables: Tables,
+    search_ns: tuple[float, float],
+    threads: int,
 ) -> _Sight:
     """Likelihood of delays over the search, each pixel for itself."""
     background = 0.1
@@ -194,7 +213,11 @@ def _sight(
     stride = max(1, round(LAG_PER_FWHM * tables.fwhm_ns * tables.cells_per_ns))
     first, last = (bound * tables.cells_per_ns / stride for bound in search_ns)
     lags = (np.arange(np.floor(first), np.ceil(last) + 1) * stride).astype(np.int32)
-    likelihood = lag_likelihood(seen, table, tables.cells_per_ns, lags)
+
+    def seen_from(stretch: tuple[int, int]) -> Floats:
+        return lag_likelihood(seen.part(stretch), table, tables.cells_per_ns, lags)
+
+    likelihood = np.concatenate(in_parts(seen_from, seen.pixels, threads, threads))
     return _Sight(likelihood.reshape(*shape, lags.size), lags / tables.cells_per_ns)
 
 
@@ -217,7 +240,7 @@ def _sharpened(
 ) -> Floats:
     """Delay (row, col) over neighbours of the same colour instead of over squares."""
     slots = _slots(seen, pilot, tables)
-    pools = _first_pools(slots, pilot, np.zeros_like(pilot), usable)
+    pools = _first_pools(slots, pilot, np.zeros_like(pilot), usable, threads)
     active = np.ones(pilot.shape, bool)
     planes = np.concatenate(
         [np.moveaxis(sight.likelihood, -1, 0), slots.sum(axis=0, keepdims=True)]
@@ -290,10 +313,10 @@ def _pools(
     """Pools of all pixels, each closed when it holds enough."""
     slots = _slots(seen, pilot, tables)
     ones = usable.astype(np.float32)
-    around = _box(np.concatenate([slots, ones[None]]), 4)
+    around = _box(np.concatenate([slots, ones[None]]), 4, threads)
     score, information = _scored(seen, pilot, around[:-1] / np.maximum(around[-1], 1), tables)
     data = np.concatenate([slots, np.stack([information, information * pilot + score, ones])])
-    pools = _first_pools(slots, pilot, _box(information[None], 2)[0], usable)
+    pools = _first_pools(slots, pilot, _box(information[None], 2, threads)[0], usable, threads)
     active = np.ones(pilot.shape, bool)
     for radius in RADII:
         like = _likeness(pools, slots, usable, tables)
@@ -313,10 +336,14 @@ def _slots(seen: Photons, delays_ns: Floats, tables: Tables) -> Floats:
 
 
 def _first_pools(
-    slots: Floats, delays_ns: Floats, information: Floats, usable: NDArray[np.bool_]
+    slots: Floats,
+    delays_ns: Floats,
+    information: Floats,
+    usable: NDArray[np.bool_],
+    threads: int,
 ) -> _Pools:
     """Pools to begin with: squares of three pixels."""
-    near = _box(np.concatenate([slots, usable[None].astype(np.float32)]), 1)
+    near = _box(np.concatenate([slots, usable[None].astype(np.float32)]), 1, threads)
     return _Pools(
         delays_ns=delays_ns,
         variances=np.full(delays_ns.shape, np.inf, np.float32),
@@ -392,10 +419,14 @@ def _closed(
     return after, active & ~closing
 
 
-def _box(values: Floats, reach: int) -> Floats:
+def _box(values: Floats, reach: int, threads: int) -> Floats:
     """Sums (plane, row, col) over squares."""
     side = 2 * reach + 1
-    return uniform_filter(values, (0, side, side), mode="constant") * np.float32(side**2)
+
+    def some(stretch: tuple[int, int]) -> Floats:
+        return uniform_filter(values[slice(*stretch)], (0, side, side), mode="constant")
+
+    return np.concatenate(in_parts(some, len(values), threads, threads)) * np.float32(side**2)
 
 
 # -- image ------------------------------------------------------------------------------------

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ LANES = 16  #: pixels that the compiled loop takes side by side
 MOST_PLANES, MOST_GROUPS = 40, 8  #: that it has room for
 
 Floats = NDArray[np.float32]
+Result = TypeVar("Result")
 
 
 def compiled() -> ModuleType | None:
@@ -55,6 +56,18 @@ def compiled() -> ModuleType | None:
         return None
 
 
+def in_parts(
+    work: Callable[[tuple[int, int]], Result], items: int, parts: int, threads: int
+) -> list[Result]:
+    """Results of work on stretches (first, one past the last) of some items, in order."""
+    edges = np.linspace(0, items, max(1, min(parts, items)) + 1).round().astype(int).tolist()
+    stretches = list(itertools.pairwise(edges))
+    if threads == 1 or len(stretches) == 1:
+        return [work(stretch) for stretch in stretches]
+    with ThreadPoolExecutor(threads) as workers:
+        return list(workers.map(work, stretches))
+
+
 @dataclass(frozen=True)
 class Photons:
     """Arrival times of pixels, one pixel after another.
@@ -79,6 +92,23 @@ class Photons:
     def owners(self) -> NDArray[np.intp]:
         """(entry,) pixel of each entry."""
         return np.repeat(np.arange(self.pixels), np.diff(self.starts))
+
+    def part(self, stretch: tuple[int, int]) -> Photons:
+        """Photons of a stretch of pixels."""
+        starts = self.starts[stretch[0] : stretch[1] + 1]
+        entries = slice(starts[0], starts[-1])
+        return Photons(starts - starts[0], self.times_ns[entries], self.weights[entries])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Photons]) -> Photons:
+        """Photons of stretches one after another."""
+        before = np.cumsum([0] + [part.times_ns.size for part in parts[:-1]])
+        starts = [part.starts[1:] + first for part, first in zip(parts, before, strict=True)]
+        return cls(
+            np.concatenate([np.zeros(1, np.int64), *starts]),
+            np.concatenate([part.times_ns for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
 
     def sums(self, values: NDArray[np.floating]) -> Floats:
         """(pixel,) sums of (entry,) values."""
@@ -314,17 +344,8 @@ def pool(
             np.ascontiguousarray(active, np.uint8), result,
         )  # fmt: skip
 
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as workers:
-            list(workers.map(some_rows, _parts(rows, 4 * threads)))
-    else:
-        some_rows((0, rows))
+    in_parts(some_rows, rows, 4 * threads if threads > 1 else 1, threads)
     return Pooled(result[:planes], *result[planes:])
-
-
-def _parts(rows: int, count: int) -> Iterator[tuple[int, int]]:
-    edges = np.linspace(0, rows, min(count, rows) + 1).round().astype(int).tolist()
-    return itertools.pairwise(edges)
 
 
 def _pool_rows(

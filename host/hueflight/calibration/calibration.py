@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration.delays import centroid_half_width_bins
+from hueflight.calibration.emitters import Emission
 from hueflight.calibration.templates import Templates
 from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError
@@ -38,6 +39,7 @@ class Calibration:
         an average pixel (per capture where frames can't be known).
     flat_field : (row, col) each pixel's brightness relative to the average pixel.
     dead, hot : (row, col) pixels that never, or always, fire.
+    emission : measured spectra of the LEDs, or None for those that the instrument states.
     provenance : where it came from, for people and files.
     """
 
@@ -55,6 +57,7 @@ class Calibration:
     flat_field: NDArray[np.float64]
     dead: NDArray[np.bool_]
     hot: NDArray[np.bool_]
+    emission: Emission | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
     @property

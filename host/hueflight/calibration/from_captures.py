@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead, find_hot_in_dark
 from hueflight.calibration.delays import align, refined_delays
+from hueflight.calibration.emitters import Emission
 from hueflight.calibration.shrinkage import shrunk
 from hueflight.calibration.templates import Templates
 from hueflight.calibration.waveforms import (
@@ -43,6 +44,7 @@ def calibrate(
     dark: ArrayLike | None = None,
     flat: ArrayLike | None = None,
     frames: ArrayLike | None = None,
+    emission: Emission | None = None,
 ) -> Calibration:
     """Calibration from captures of a flat target of known distance and reflectance.
 
@@ -59,6 +61,7 @@ def calibrate(
         (code density).
     frames : exposures behind the reference; by default the sum over codes where the sensor
         reports its empty exposures.
+    emission : measured spectra of the LEDs (`Emission.load`), for colours and spectra.
 
     Raises
     ------
@@ -71,6 +74,8 @@ def calibrate(
         raise CalibrationError(
             f"distance = {distance!r}: must be the target's distance in metres, 0 or more"
         )
+    if emission is not None:
+        emission.require(instrument)
     known = _known_reflectance(reflectance, instrument)
     counts = check_histogram(reference, instrument, name="reference")
     exposures = frames_per_pixel(counts, instrument, frames)
@@ -133,6 +138,7 @@ def calibrate(
         flat_field=flat_field,
         dead=dead,
         hot=hot,
+        emission=emission,
         provenance={
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
             "software": f"hueflight {version('hueflight')}",
@@ -142,6 +148,7 @@ def calibrate(
             "bands": bands is not None,
             "dark": dark is not None,
             "flat": flat is not None,
+            "emission": emission is not None,
         },
     )
 

@@ -19,6 +19,7 @@ import zarr
 from numpy.typing import NDArray
 
 from hueflight.calibration.calibration import Calibration
+from hueflight.calibration.emitters import Emission
 from hueflight.calibration.templates import Templates
 from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError, InstrumentError
@@ -98,6 +99,9 @@ def _write(calibration: Calibration, path: Path) -> None:
     )
     if calibration.frames is not None:
         arrays["frames"] = np.asarray(calibration.frames)
+    if calibration.emission is not None:
+        arrays["emission_nm"] = calibration.emission.wavelengths_nm
+        arrays["emission_power"] = calibration.emission.power
     for name, values in arrays.items():
         # a few MB a chunk: rows of the reference, anything else whole
         rows = max(1, min(values.shape[0], int(4e6 * values.shape[0] / max(values.nbytes, 1))))
@@ -153,6 +157,10 @@ def _read(group: zarr.Group, attributes: dict[str, Any]) -> Calibration:
         if values[name].shape != shape:
             raise CalibrationError(f"{name} has shape {values[name].shape}, expected {shape}")
     del values["bin_edges_ns"]
+    emission = None
+    if "emission_nm" in group:
+        emission = Emission(array("emission_nm"), array("emission_power"))
+        emission.require(instrument)
     return Calibration(
         instrument=instrument,
         distance=float(attributes["distance_m"]),
@@ -160,6 +168,7 @@ def _read(group: zarr.Group, attributes: dict[str, Any]) -> Calibration:
         frames=array("frames") if "frames" in group else None,
         windows=tuple(PulseWindow(*map(int, window)) for window in array("windows")),
         templates=Templates(array("templates"), float(attributes["circle_ns"])),
+        emission=emission,
         provenance=dict(attributes["provenance"]),
         **values,
     )

@@ -78,3 +78,22 @@ def test_files_that_cannot_be_read(paper, tmp_path):
     (tmp_path / "short.csv").write_text("nm,a\n400,1\n")
     with pytest.raises(CalibrationError, match="line 2: needs 10 numbers"):
         Emission.load(tmp_path / "short.csv", paper)
+
+
+def test_spectra_belong_to_the_calibration(small, draw, tmp_path):
+    instrument = small(rows=4, cols=4)
+    emission = Emission.nominal(instrument)
+    reference = draw(instrument, photons=5000)
+    with_spectra = hf.calibrate(reference, instrument, distance=0.5, emission=emission)
+    assert with_spectra.provenance["emission"]
+    with_spectra.save(tmp_path / "a.zarr")
+    loaded = hf.Calibration.load(tmp_path / "a.zarr")
+    assert loaded.emission is not None
+    np.testing.assert_array_equal(loaded.emission.power, emission.power)
+    np.testing.assert_array_equal(loaded.emission.wavelengths_nm, emission.wavelengths_nm)
+    without = hf.calibrate(reference, instrument, distance=0.5)
+    without.save(tmp_path / "b.zarr")
+    assert hf.Calibration.load(tmp_path / "b.zarr").emission is None
+    turned = Emission(emission.wavelengths_nm, emission.power[::-1])
+    with pytest.raises(CalibrationError, match="columns must stand in the instrument's order"):
+        hf.calibrate(reference, instrument, distance=0.5, emission=turned)

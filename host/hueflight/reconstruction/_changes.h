@@ -2,39 +2,45 @@
 
 /* Greatest contrast between two histograms in units of its own deviation: of all counts, of each
  * band's zone, and along the derivative by the delay. `now` and `then` are counts at the bins of
- * the search; `work` has room for two vectors a block. */
+ * the search; `work` has room for four vectors a block. */
 INLINE float contrast(const Plan *plan, const float *now, const float *then, float scale,
                       float delay, const float *kept_amplitudes, float background, vec *work)
 {
     const Coarse *coarse = &plan->coarse;
     const Level *level = &plan->rough;
-    float amplitudes[MOST_BANDS], gaps[MOST_BANDS], sizes[MOST_BANDS], most = 0, total = 0;
+    float amplitudes[MOST_BANDS], gaps[MOST_BANDS], sizes[MOST_BANDS], most = 0;
     for (int k = 0; k < plan->bands; k++) {
         amplitudes[k] = kept_amplitudes[k] > 0 ? kept_amplitudes[k] : 0;
         gaps[k] = sizes[k] = 0;
     }
     vec gap = {0}, size = {0}, steep_gap = {0}, steep_size = {0};
+    vec *apart = work + 2 * level->blocks, *spreads = apart + level->blocks, whole = {0};
     for (int v = 0; v < level->blocks; v++)
-        total += sum(load(then + v * LANES));
-    float least = floor_of(&plan->rules, total);
+        whole += load(then + v * LANES);
+    float least = floor_of(&plan->rules, sum(whole));
     expect(level, phase_of(level, delay), amplitudes, background > least ? background : least,
            work, work + level->blocks);
     for (int v = 0; v < level->blocks; v++) {
         vec a = load(now + v * LANES), b = scale * load(then + v * LANES);
         vec steep = work[level->blocks + v] / work[v];
-        gap += a - b;
-        size += a + scale * b;
-        steep_gap += steep * (a - b);
-        steep_size += steep * steep * (a + scale * b);
+        apart[v] = a - b;
+        spreads[v] = a + scale * b;
+        gap += apart[v];
+        size += spreads[v];
+        steep_gap += steep * apart[v];
+        steep_size += steep * steep * spreads[v];
     }
     float lag = rintf((delay - coarse->first_ns) / coarse->step_ns);
     int here = lag < 0 ? 0 : lag > (float)(coarse->lags - 1) ? coarse->lags - 1 : (int)lag;
     for (int run = coarse->places[here]; run < coarse->places[here + 1]; run++) {
         const int16_t *bins = coarse->runs + (size_t)run * 3;
+        float x = 0, y = 0;
         for (int j = bins[1]; j < bins[2]; j++) {
-            gaps[bins[0]] += now[j] - scale * then[j];
-            sizes[bins[0]] += now[j] + scale * scale * then[j];
+            x += ((const float *)apart)[j];
+            y += ((const float *)spreads)[j];
         }
+        gaps[bins[0]] += x;
+        sizes[bins[0]] += y;
     }
     for (int k = 0; k < plan->bands; k++)
         if (sizes[k] > 0)

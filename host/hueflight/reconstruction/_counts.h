@@ -7,37 +7,47 @@ typedef struct {
     char type;
 } Light;
 
-/* Counts of one pixel as floats, in the sensor's bins. */
+/* Counts of one pixel as floats, in the sensor's bins. Memory is read upwards, whichever way time
+ * runs: processors fetch ahead that way only. */
 INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
 {
     const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
     Py_ssize_t by = light->bin_step;
+    const char *low = by < 0 ? from + (bins - 1) * by : from;
+    float *last = to + bins - 1;
     if (light->type == 'H' && by == 2)
         for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint16_t *)from)[i];
+            to[i] = (float)((const uint16_t *)low)[i];
     else if (light->type == 'H' && by == -2)
         for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint16_t *)from)[-i];
+            last[-i] = (float)((const uint16_t *)low)[i];
     else if (light->type == 'H')
         for (int i = 0; i < bins; i++)
             to[i] = (float)*(const uint16_t *)(from + i * by);
-    else if (light->type == 'I' && by == -4)
-        for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint32_t *)from)[-i];
     else if (light->type == 'I' && by == 4)
         for (int i = 0; i < bins; i++)
-            to[i] = (float)((const uint32_t *)from)[i];
+            to[i] = (float)((const uint32_t *)low)[i];
+    else if (light->type == 'I' && by == -4)
+        for (int i = 0; i < bins; i++)
+            last[-i] = (float)((const uint32_t *)low)[i];
     else if (light->type == 'I')
         for (int i = 0; i < bins; i++)
             to[i] = (float)*(const uint32_t *)(from + i * by);
     else if (by == 4)
         memcpy(to, from, (size_t)bins * sizeof *to);
-    else if (by == -4)
-        for (int i = 0; i < bins; i++)
-            to[i] = ((const float *)from)[-i];
     else
         for (int i = 0; i < bins; i++)
             to[i] = *(const float *)(from + i * by);
+}
+
+/* Asks for a pixel's counts ahead of their use. */
+INLINE void fetch(const Light *light, size_t pixel, int bins)
+{
+    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
+    Py_ssize_t span = (bins - 1) * light->bin_step;
+    const char *low = span < 0 ? from + span : from;
+    for (Py_ssize_t at = 0; at <= (span < 0 ? -span : span); at += 64)
+        __builtin_prefetch(low + at);
 }
 
 /* Sums of `factor` bins each within every view; returns how many. `sizes` may be those of the

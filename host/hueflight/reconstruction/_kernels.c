@@ -119,6 +119,8 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const int64_t *which,
         others[p] = NAN;
         rivals[p] = -1;
         local[p] = offsets[first + (size_t)p];
+        if (p + 2 < count)
+            fetch(light, (size_t)which[first + (size_t)p + 2], plan->bins);
         totals[p] = prepare(plan, light, (size_t)which[first + (size_t)p],
                             rates ? rates[first + (size_t)p] : 0, p, scratch);
     }
@@ -377,6 +379,10 @@ static PyObject *py_contrasts(PyObject *self, PyObject *args)
     float *results = held[CONTRASTS].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < pixels; i++) {
+        if (i + 2 < pixels) {
+            fetch(&now, (size_t)which[i + 2], plan.bins);
+            fetch(&then, (size_t)which[i + 2], plan.bins);
+        }
         prepare(&plan, &now, (size_t)which[i], 0, 0, &scratch);
         prepare(&plan, &then, (size_t)which[i], 0, 1, &scratch);
         results[i] = contrast(&plan, scratch.rough, scratch.rough + scratch.rough_stride, scales[i],

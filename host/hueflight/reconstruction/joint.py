@@ -195,7 +195,11 @@ def in_metres(
     rows, cols = photons.shape
     usable = calibration.usable
 
+    everywhere = bool(chosen.all())
+
     def plane(values: NDArray[np.floating]) -> NDArray[np.float64]:
+        if everywhere:
+            return np.moveaxis(values, 0, -1).reshape(*values.shape[1:], rows, cols).copy()
         filled = np.full((*values.shape[1:], rows, cols), np.nan)
         filled[..., chosen] = np.moveaxis(values, 0, -1)
         return filled

@@ -97,7 +97,7 @@ class Video:
         kept = self._kept
         assert kept is not None  # the update has made it
         estimates = in_metres(
-            kept.fit.take(kept.fitted.ravel()),
+            kept.fit if kept.fitted.all() else kept.fit.take(kept.fitted.ravel()),
             kept.fitted,
             kept.photons,
             kept.frames,
@@ -164,7 +164,7 @@ class Video:
         scales = np.ones(pixels.size)
         if exposures is not None and kept.frames is not None:
             scales = exposures[kept.fitted] / kept.frames[kept.fitted]
-        found = kept.fit.take(pixels)
+        found = kept.fit if kept.fitted.all() else kept.fit.take(pixels)
         offsets_ns = self.calibration.pixel_delay_ns[kept.fitted]
         gaps = contrasts(flat, kept.light, pixels, scales, found, offsets_ns, self._plan)
         differs[kept.fitted] = gaps > self._change_sigma

@@ -37,9 +37,9 @@ BROWSER = [
 ]  # fmt: skip
 
 
-def played(rate_hz: float) -> Instrument:
-    """The paper's instrument at another frame rate."""
-    paper = Instrument.load("paper")
+def played(name: str, rate_hz: float) -> Instrument:
+    """An instrument at another frame rate."""
+    paper = Instrument.load(name)
     exposure_ms = min(paper.sensor.exposure_ms or 2.0, 0.9e3 / rate_hz)
     sensor = msgspec.structs.replace(paper.sensor, frame_rate_hz=rate_hz, exposure_ms=exposure_ms)
     return paper.replace(sensor=sensor)
@@ -48,7 +48,7 @@ def played(rate_hz: float) -> Instrument:
 # -- the daemon's process ----------------------------------------------------------------------
 
 
-def serve(folder: Path, rate_hz: float, pictures_hz: float) -> None:
+def serve(folder: Path, name: str, rate_hz: float, pictures_hz: float) -> None:
     """Run a daemon whose camera plays frames that were drawn beforehand."""
     from hueflight.daemon.config import DaemonConfig, ServerConfig
     from hueflight.daemon.logs import configure
@@ -58,12 +58,12 @@ def serve(folder: Path, rate_hz: float, pictures_hz: float) -> None:
     from hueflight.devices.lights import CaptureKind
     from hueflight.devices.model_ports import ModelStream, ModelTransport
 
-    text = Instrument.load("paper").to_json()
+    text = Instrument.load(name).to_json()
     banks = {
         kind: FrameBank(simulated_packets(kind, text, "fig1", 0.4, 240, 1))
         for kind in ("scene", "reference")
     }
-    instrument = played(rate_hz)
+    instrument = played(name, rate_hz)
     model = CameraModel(instrument.sensor, banks["scene"])
     emulated = 0.0
 
@@ -164,8 +164,10 @@ def measure(arguments: argparse.Namespace, folder: Path) -> None:
     if chromium is None:
         raise SystemExit("this benchmark needs the Debian package chromium")
     log = folder / "daemon.log"
-    me = [sys.executable, __file__, "--serve", str(folder), "--rate", str(arguments.rate),
-          "--pictures", str(arguments.pictures)]  # fmt: skip
+    me = [
+        sys.executable, __file__, "--serve", str(folder), "--instrument", arguments.instrument,
+        "--rate", str(arguments.rate), "--pictures", str(arguments.pictures),
+    ]  # fmt: skip
     with running(me, log) as daemon:
         line = until(lambda: _first_line(log, daemon), "the daemon listens")
         url = json.loads(line)["url"].rstrip("/")
@@ -215,7 +217,8 @@ def show(
 
     lost = {place: more("lost", place) for place in after["lost"]}
     delivered = more("totals", "delivered")
-    pixels = played(arguments.rate).sensor.rows * played(arguments.rate).sensor.cols
+    sensor = Instrument.load(arguments.instrument).sensor
+    pixels = sensor.rows * sensor.cols
     occupancy = more("totals", "photons") / max(1, delivered) / pixels
     memory = [megabytes for _, megabytes, _ in samples]
     steady = memory[len(memory) // 5 :]
@@ -264,6 +267,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended from outside"))
     parser = argparse.ArgumentParser(description="The daemon at the pace of a camera.")
     parser.add_argument("--rate", type=float, default=480.0, help="frames per second")
+    parser.add_argument("--instrument", default="paper", help="preset or TOML file")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--pictures", type=float, default=0.0, help="per second; 0: what suits")
     parser.add_argument("--record", action="store_true", help="record meanwhile")
@@ -271,8 +275,7 @@ def main() -> None:
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        serve(arguments.serve, arguments.rate, arguments.pictures)
+        serve(arguments.serve, arguments.instrument, arguments.rate, arguments.pictures)
         return
     with tempfile.TemporaryDirectory(prefix="hueflight-bench-") as folder:
         measure(arguments, Path(folder))

@@ -9,6 +9,7 @@ from .camera_formatter import (
     ProgressHarness,
     SealHarness,
     StableHarness,
+    SteadyWalkHarness,
     WalkHarness,
 )
 from .proof import Proof
@@ -18,6 +19,7 @@ PROOFS = (
         "camera-stable",
         "A word that waits for the link stays as it is.",
         StableHarness,
+        SteadyWalkHarness,
         depth=2,
     ),
     Proof(
@@ -52,9 +54,16 @@ PROOFS = (
     Proof(
         "camera-packets",
         "No packet is shorter or longer than its chunks say, aborted ones included, and its "
-        "totals are right.",
+        "totals are right; with room for every word.",
+        SteadyWalkHarness,
+        depth=29,
+        induction=False,
+    ),
+    Proof(
+        "camera-packets-stalled",
+        "The same with any stalls, as far as the first packets begin to end.",
         WalkHarness,
-        depth=30,
+        depth=24,
         induction=False,
     ),
     Proof(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from amaranth.hdl import Assert, Cat, Module, Mux, Signal, Value
+from amaranth.hdl import Assert, Assume, Cat, Module, Mux, Signal, Value
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In
 
@@ -144,6 +144,9 @@ class OpenHarness(FormatterHarness):
         return m
 
 
+WALK_BITS = 5
+
+
 class WalkHarness(OpenHarness):
     """Every packet ends just where a walk over its chunks says."""
 
@@ -152,8 +155,9 @@ class WalkHarness(OpenHarness):
         taken, last = self.formatter.valid, self.formatter.word.last
         word = self.formatter.word.data
         number = Signal(4)  # of the header's words, and the first one behind them
-        left = Signal(16)  # halves of the present chunk
-        index, chunks, hits = Signal(15), Signal(16), Signal(32)
+        # no wider than `SMALL` needs, for the solver's sake; what is compared is whole
+        left = Signal(WALK_BITS)  # halves of the present chunk
+        index, chunks, hits = (Signal(WALK_BITS) for _ in range(3))
         trailer = Signal()  # the next word is the packet's last
         body = Signal()
         m.d.comb += body.eq((number == HEADER_WORDS) & ~trailer)
@@ -186,6 +190,15 @@ class WalkHarness(OpenHarness):
                     m.d.sync += trailer.eq(1)
 
 
+class SteadyWalkHarness(WalkHarness):
+    """The same with room in every clock, which lets the solver look further."""
+
+    def state(self, m: Module) -> None:
+        """Never wait."""
+        super().state(m)
+        m.d.comb += Assume(self.take)
+
+
 class _Walk:
     """Where a walk stands: halves of a word left of a chunk, and totals."""
 
@@ -201,7 +214,7 @@ class _Walk:
         kind, index, hits = half[:2], half[2:16], half[16:]
         inner, last = form.chunk(last=False), form.chunk(last=True)
         in_last = index == form.chunks - 1
-        bits = (hits * form.code_bits + 7) >> 3
+        bits = (hits[: form.hit_bits] * form.code_bits + 7) >> 3
         bitmap = [(bits + chunk.bitmap_bytes + 3) >> 2 for chunk in (inner, last)]
         dense = [dense_bytes(chunk.pixels, form.code_bits) >> 2 for chunk in (inner, last)]
         sizes = [Mux(kind == ChunkKind.DENSE, d, b) for d, b in zip(dense, bitmap, strict=True)]
@@ -231,10 +244,10 @@ class _Walk:
             ]
         after = _Walk(
             form,
-            Signal(16, name=f"{name}_left"),
-            Signal(15, name=f"{name}_index"),
-            Signal(16, name=f"{name}_chunks"),
-            Signal(32, name=f"{name}_hits"),
+            Signal(WALK_BITS, name=f"{name}_left"),
+            Signal(WALK_BITS, name=f"{name}_index"),
+            Signal(WALK_BITS, name=f"{name}_chunks"),
+            Signal(WALK_BITS, name=f"{name}_hits"),
         )
         goes_on = Mux(self.left == 0, 0, self.left - 1)
         m.d.comb += [

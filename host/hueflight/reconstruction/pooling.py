@@ -16,6 +16,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import Any, TypeVar
@@ -64,8 +65,13 @@ def in_parts(
     stretches = list(itertools.pairwise(edges))
     if threads == 1 or len(stretches) == 1:
         return [work(stretch) for stretch in stretches]
-    with ThreadPoolExecutor(threads) as workers:
-        return list(workers.map(work, stretches))
+    return list(_workers(threads).map(work, stretches))
+
+
+@cache
+def _workers(threads: int) -> ThreadPoolExecutor:
+    """Threads that wait for work: starting them anew for each loop costs as much as some loops."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="pooling")
 
 
 @dataclass(frozen=True)

@@ -126,6 +126,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     pictures_hz : live pictures per second; 0 for what suits the frame rate.
     picture_frames : frames behind each; 0 for what suits the frame rate.
     threads : that count photons.
+    picture_threads : that reconstruct, at a lower priority; 0 for as many as there are cores.
     """
 
     name: str = "hueflight"
@@ -139,6 +140,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     pictures_hz: float = 0.0
     picture_frames: int = 0
     threads: int = 1
+    picture_threads: int = 0
     server: ServerConfig = ServerConfig()
     recording: RecordingConfig = RecordingConfig()
 
@@ -149,8 +151,10 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             )
         if not 0 <= self.pictures_hz <= 1000:
             raise ConfigError(f"pictures_hz = {self.pictures_hz}: must be from 0 to 1000")
-        if self.picture_frames < 0 or self.threads < 1:
-            raise ConfigError("picture_frames must be 0 or more, threads 1 or more")
+        if self.picture_frames < 0 or self.picture_threads < 0 or self.threads < 1:
+            raise ConfigError(
+                "picture_frames and picture_threads must be 0 or more, threads 1 or more"
+            )
 
     @property
     def folder(self) -> Path:

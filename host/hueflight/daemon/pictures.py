@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections import deque
@@ -21,6 +22,7 @@ from hueflight.instrument import Instrument
 from hueflight.reconstruction.reconstruct import METHODS, reconstruct
 
 _WAIT_S = 0.5
+_NICENESS = 5
 
 
 def live_method() -> str:
@@ -68,6 +70,7 @@ class Pictures:
     instrument : of the histograms.
     method : see `reconstruct`; empty for the best that is fast enough.
     window_blocks : each picture is of the sum of so many histograms, the newest ones.
+    threads : that share its pixels.
     on_picture : told of each picture, in the thread.
 
     Attributes
@@ -85,6 +88,7 @@ class Pictures:
         *,
         method: str = "",
         window_blocks: int = 1,
+        threads: int = 1,
         on_picture: Callable[[Picture], None],
     ) -> None:
         if method and method not in METHODS:
@@ -96,6 +100,7 @@ class Pictures:
         self.made = self.skipped = 0
         self.problem = ""
         self._on_picture = on_picture
+        self._threads = threads
         self._waiting: deque[LiveBlock] = deque()
         self._window = _Window(window_blocks)
         self._changed = threading.Condition()
@@ -121,6 +126,8 @@ class Pictures:
         self._thread.join(timeout=10)
 
     def _work(self) -> None:
+        # acquisition comes first; threads that help with a picture inherit this
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
         while True:
             with self._changed:
                 if not self._waiting and not self._closing:
@@ -168,7 +175,7 @@ class Pictures:
         if calibration is None or kind not in ("scene", "reference"):
             return None
         try:
-            image = reconstruct(counts, calibration, method=self.method)
+            image = reconstruct(counts, calibration, method=self.method, threads=self._threads)
         except HueflightError as error:
             self.problem = str(error)
             return None

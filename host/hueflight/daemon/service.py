@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -78,6 +79,7 @@ class Service:
             instrument,
             method=config.method,
             window_blocks=settings.window_blocks,
+            threads=config.picture_threads or os.cpu_count() or 1,
             on_picture=on_picture,
         )
         self.acquisition = Acquisition(

@@ -19,7 +19,6 @@ PROOFS = (
         "camera-stable",
         "A word that waits for the link stays as it is.",
         StableHarness,
-        SteadyWalkHarness,
         depth=2,
     ),
     Proof(

@@ -7,6 +7,22 @@ typedef struct {
     char type;
 } Light;
 
+/* The last of `from` first, as floats. */
+#define BACKWARDS(NAME, TYPE)                                                                     \
+    INLINE void NAME(const TYPE *from, int count, float *to)                                      \
+    {                                                                                             \
+        typedef TYPE some __attribute__((vector_size(sizeof(TYPE) * LANES), aligned(2)));         \
+        ivec turned = LANES - 1 - lane_numbers();                                                 \
+        int i = 0;                                                                                \
+        for (; i + LANES <= count; i += LANES)                                                    \
+            store(to + count - LANES - i,                                                         \
+                  picked(__builtin_convertvector(*(const some *)(from + i), vec), turned));       \
+        for (; i < count; i++)                                                                    \
+            to[count - 1 - i] = (float)from[i];                                                   \
+    }
+BACKWARDS(backwards_16, uint16_t)
+BACKWARDS(backwards_32, uint32_t)
+
 /* Counts of one pixel as floats, in the sensor's bins. Memory is read upwards, whichever way time
  * runs: processors fetch ahead that way only. */
 INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
@@ -14,13 +30,11 @@ INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
     const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
     Py_ssize_t by = light->bin_step;
     const char *low = by < 0 ? from + (bins - 1) * by : from;
-    float *last = to + bins - 1;
     if (light->type == 'H' && by == 2)
         for (int i = 0; i < bins; i++)
             to[i] = (float)((const uint16_t *)low)[i];
     else if (light->type == 'H' && by == -2)
-        for (int i = 0; i < bins; i++)
-            last[-i] = (float)((const uint16_t *)low)[i];
+        backwards_16((const uint16_t *)low, bins, to);
     else if (light->type == 'H')
         for (int i = 0; i < bins; i++)
             to[i] = (float)*(const uint16_t *)(from + i * by);
@@ -28,8 +42,7 @@ INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
         for (int i = 0; i < bins; i++)
             to[i] = (float)((const uint32_t *)low)[i];
     else if (light->type == 'I' && by == -4)
-        for (int i = 0; i < bins; i++)
-            last[-i] = (float)((const uint32_t *)low)[i];
+        backwards_32((const uint32_t *)low, bins, to);
     else if (light->type == 'I')
         for (int i = 0; i < bins; i++)
             to[i] = (float)*(const uint32_t *)(from + i * by);

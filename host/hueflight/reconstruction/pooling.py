@@ -74,6 +74,10 @@ def _workers(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="pooling")
 
 
+if hasattr(os, "register_at_fork"):  # a forked process has the pool but not its threads
+    os.register_at_fork(after_in_child=_workers.cache_clear)
+
+
 @dataclass(frozen=True)
 class Photons:
     """Arrival times of pixels, one pixel after another.

@@ -1,6 +1,9 @@
 """Pictures from a few photons a pixel: how good, how fine, and never across a step."""
 
 import dataclasses
+import os
+import signal
+import warnings
 
 import numpy as np
 import pytest
@@ -178,6 +181,20 @@ def test_threads_change_nothing(instrument, calibration, draw):
     three = few_photons.estimate(counts, None, calibration, threads=3)
     np.testing.assert_array_equal(one.depth, three.depth)
     np.testing.assert_array_equal(one.reflectance, three.reflectance)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_threads_in_a_forked_process(instrument, calibration, draw):
+    counts = halves(instrument, draw, left=(0.7, ORANGE), right=(1.1, BLUE))
+    few_photons.estimate(counts, None, calibration, threads=2)  # its threads wait in this process
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # newer Pythons warn of just this
+        child = os.fork()
+    if child == 0:
+        signal.alarm(60)
+        few_photons.estimate(counts, None, calibration, threads=2)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 @native

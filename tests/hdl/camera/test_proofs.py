@@ -77,9 +77,13 @@ def broken(harness, *, depth):
 @pytest.mark.slow
 def test_a_bank_too_many_is_found(prover, monkeypatch):
     class Generous(FrameFront):
-        def __init__(self, form):
-            super().__init__(form)
-            self.banks_free.init = form.banks + 1
+        def elaborate(self, platform):
+            banks = self.form.banks
+            said, self.banks_free = self.banks_free, Signal(range(banks + 2), init=banks + 1)
+            m = super().elaborate(platform)
+            m.d.comb += said.eq(self.banks_free)
+            self.banks_free = said
+            return m
 
     monkeypatch.setattr(formatter_module, "FrameFront", Generous)
     broken(CollisionHarness, depth=36)

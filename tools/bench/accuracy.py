@@ -102,8 +102,9 @@ def main() -> None:
     }
     parts = {
         "limits": f"{len(found)} cells of {pixels} pixels each.\n\n{_limits(found)}",
-        "grid": _grid_tables(found),
-        "narrow": _grid_tables(narrow),
+        "grid": _grid_tables(found, _depths),
+        "narrow": _grid_tables(narrow, _depths),
+        "colours": _grid_tables(found, _colours),
         "methods": _methods(methods),
     }
     for title, text in parts.items():
@@ -223,25 +224,26 @@ def _limits(found: Results) -> str:
     return table(["`joint`, worst colour and tail", "must", "measured"], rows)
 
 
-def _grid_tables(found: Results) -> str:
-    """One table per tail: depth ratio (worst colour), mislocks, ΔE00 over photons × background."""
+def _depths(some: list[Outcome]) -> str:
+    lost = 100 * max(o.mislocks for o in some)
+    return f"{max(o.depth_ratio for o in some):.2f} · {lost:.2g} %"
+
+
+def _colours(some: list[Outcome]) -> str:
+    return f"{np.nanmean([o.delta_e for o in some]):.1f}"
+
+
+def _grid_tables(found: Results, entry: Callable[[list[Outcome]], str]) -> str:
+    """One table per tail over photons × background; entries from all colours together."""
     text = []
     for tail_ns in sorted({cell.tail_ns for cell in found}):
         cells = [cell for cell in found if cell.tail_ns == tail_ns]
         backgrounds = sorted({cell.background for cell in cells})
         rows = []
         for photons in sorted({cell.photons for cell in cells}):
-            row = [f"{photons:g}"]
-            for background in backgrounds:
-                some = [
-                    found[c] for c in cells if c.photons == photons and c.background == background
-                ]
-                lost = 100 * max(o.mislocks for o in some)
-                row.append(
-                    f"{max(o.depth_ratio for o in some):.2f} · {lost:.2g} % · "
-                    f"{np.nanmean([o.delta_e for o in some]):.1f}"
-                )
-            rows.append(row)
+            here = [c for c in cells if c.photons == photons]
+            row = [entry([found[c] for c in here if c.background == b]) for b in backgrounds]
+            rows.append([f"{photons:g}", *row])
         head = ["photons", *(f"background {background:g}:1" for background in backgrounds)]
         text.append(f"Tail {tail_ns:g} ns:\n\n{table(head, rows)}")
     return "\n".join(text)

@@ -48,7 +48,7 @@ def played(name: str, rate_hz: float) -> Instrument:
 # -- the daemon's process ----------------------------------------------------------------------
 
 
-def serve(folder: Path, name: str, rate_hz: float, pictures_hz: float) -> None:
+def serve(folder: Path, name: str, rate_hz: float, pictures_hz: float, drawn: int) -> None:
     """Run a daemon whose camera plays frames that were drawn beforehand."""
     from hueflight.daemon.config import DaemonConfig, ServerConfig
     from hueflight.daemon.logs import configure
@@ -60,7 +60,7 @@ def serve(folder: Path, name: str, rate_hz: float, pictures_hz: float) -> None:
 
     text = Instrument.load(name).to_json()
     banks = {
-        kind: FrameBank(simulated_packets(kind, text, "fig1", 0.4, 240, 1))
+        kind: FrameBank(simulated_packets(kind, text, "fig1", 0.4, drawn, 1))
         for kind in ("scene", "reference")
     }
     instrument = played(name, rate_hz)
@@ -127,6 +127,7 @@ def running(command: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
 
 def until(found: Callable[[], Any], what: str) -> Any:
     """Wait for something that must come."""
+    print(f"waiting until {what}", file=sys.stderr)
     deadline = time.monotonic() + PATIENCE_S
     while not (value := found()):
         if time.monotonic() > deadline:
@@ -167,6 +168,7 @@ def measure(arguments: argparse.Namespace, folder: Path) -> None:
     me = [
         sys.executable, __file__, "--serve", str(folder), "--instrument", arguments.instrument,
         "--rate", str(arguments.rate), "--pictures", str(arguments.pictures),
+        "--drawn", str(arguments.drawn),
     ]  # fmt: skip
     with running(me, log) as daemon:
         line = until(lambda: _first_line(log, daemon), "the daemon listens")
@@ -175,7 +177,10 @@ def measure(arguments: argparse.Namespace, folder: Path) -> None:
         until(lambda: status()["totals"]["delivered"] > 100, "frames come")
         ask(url + "/api/calibration", {"distance": 0.4, "frames": 2000, "bands": False,
                                        "dark": False})  # fmt: skip
-        until(lambda: status()["calibration"]["calibrated"], "the daemon is calibrated")
+        until(lambda: status()["calibration"]["step"] in ("done", "failed"), "it is calibrated")
+        calibration = status()["calibration"]
+        if calibration["step"] == "failed":
+            raise SystemExit(f"no calibration: {calibration['message']}")
         page = [chromium, *BROWSER, f"--user-data-dir={folder / 'profile'}", url]
         with running(page, folder / "browser.log"):
             until(lambda: status()["latency_s"], "the browser shows pictures")
@@ -270,12 +275,16 @@ def main() -> None:
     parser.add_argument("--instrument", default="paper", help="preset or TOML file")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--pictures", type=float, default=0.0, help="per second; 0: what suits")
+    parser.add_argument("--drawn", type=int, default=240, help="frames that are played in turn")
     parser.add_argument("--record", action="store_true", help="record meanwhile")
     parser.add_argument("--plot", type=Path)
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:
-        serve(arguments.serve, arguments.instrument, arguments.rate, arguments.pictures)
+        serve(
+            arguments.serve, arguments.instrument, arguments.rate, arguments.pictures,
+            arguments.drawn,
+        )  # fmt: skip
         return
     with tempfile.TemporaryDirectory(prefix="hueflight-bench-") as folder:
         measure(arguments, Path(folder))

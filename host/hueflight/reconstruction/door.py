@@ -21,12 +21,14 @@ class Seen:
     ----------
     counts : (row, col, code).
     light : (row, col, bin) in time order, of a type that the fit reads.
+    photons : (row, col) counts of the light.
     frames : (row, col) exposures, or None where it can't be known.
     full : (row, col) a counter is at its end.
     """
 
     counts: NDArray[Any]
     light: NDArray[Any]
+    photons: NDArray[np.float64]
     frames: NDArray[np.float64] | None
     full: NDArray[np.bool_]
 
@@ -42,17 +44,22 @@ def check_in(histogram: ArrayLike, calibration: Calibration, frames: ArrayLike |
     instrument = calibration.instrument
     counts = np.asarray(histogram)
     if counts.shape == instrument.histogram_shape and counts.dtype in (np.uint16, np.uint32):
-        sums, full = (
-            plane.reshape(counts.shape[:2]) for plane in survey(counts.reshape(-1, counts.shape[2]))
-        )
+        flat_sums, flat_full = survey(counts.reshape(-1, counts.shape[2]))
+        sums, full = flat_sums.reshape(counts.shape[:2]), flat_full.reshape(counts.shape[:2])
         if not sums.any():
             check_histogram(counts, instrument)  # says so
         known = frames is None and instrument.sensor.reports_empty
         exposures = sums if known else frames_per_pixel(counts, instrument, frames)
+        dark = np.ones(counts.shape[2], bool)  # codes that are not light are few
+        dark[calibration.bins.codes] = False
+        photons = sums - counts[..., dark].sum(axis=-1, dtype=np.float64)
     else:
         counts = check_histogram(counts, instrument)
         exposures, full = frames_per_pixel(counts, instrument, frames), counters_full(counts)
+        photons = None
     light = calibration.bins.in_time_order(counts)
     if light.dtype not in COUNT_TYPES:
         light = light.astype(np.float32)
-    return Seen(counts, light, exposures, full)
+    if photons is None:
+        photons = light.sum(axis=-1, dtype=np.float64)
+    return Seen(counts, light, photons, exposures, full)

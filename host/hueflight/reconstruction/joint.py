@@ -83,6 +83,7 @@ def estimate(
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
     *,
+    photons: NDArray[np.float64] | None = None,
     range_correction: bool = False,
     pileup_correction: bool = True,
     depth_range: tuple[float, float] | None = None,
@@ -96,6 +97,7 @@ def estimate(
     ----------
     light : (row, col, bin) counts in time order.
     frames : (row, col) exposures behind them, or None to assume as many as the reference had.
+    photons : (row, col) sums of `light`, if they are known already.
     range_correction : multiply reflectance by (distance / reference distance)².
     pileup_correction : undo what an exposure that keeps only its first photon loses.
     depth_range : depths to search, m; default half the pulses' spacing about the reference.
@@ -107,7 +109,8 @@ def estimate(
     search_ns = search_range_ns(calibration, depth_range)
     plan = plan_for(calibration, search_ns)
     flat = light.reshape(rows * cols, bins)
-    photons = photon_sums(flat).reshape(rows, cols)
+    if photons is None:
+        photons = photon_sums(flat).reshape(rows, cols)
     usable = calibration.usable
     wanted = np.ones((rows, cols), bool) if region is None else region
     chosen = wanted.copy()
@@ -197,7 +200,7 @@ def in_metres(
 
     everywhere = bool(chosen.all())
 
-    def plane(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    def plane(values: NDArray[np.float64]) -> NDArray[np.float64]:
         if everywhere:
             return np.moveaxis(values, 0, -1).reshape(*values.shape[1:], rows, cols).copy()
         filled = np.full((*values.shape[1:], rows, cols), np.nan)

@@ -97,6 +97,7 @@ def reconstruct(
             light,
             exposures,
             calibration,
+            photons=seen.photons,
             range_correction=range_correction,
             pileup_correction=pileup_correction,
             depth_range=depth_range,

@@ -21,7 +21,7 @@ from hueflight.reconstruction.door import check_in
 from hueflight.reconstruction.fit import Fit
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.joint import fit_chosen, in_metres, plan_for, search_range_ns
-from hueflight.reconstruction.kernels import contrasts, photon_sums
+from hueflight.reconstruction.kernels import contrasts
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
@@ -93,7 +93,7 @@ class Video:
         seen = check_in(histogram, calibration, frames)
         rows, cols, bins = seen.light.shape
         flat = seen.light.reshape(rows * cols, bins)
-        changed = self._update(flat, seen.frames, (rows, cols))
+        changed = self._update(flat, seen.photons, seen.frames)
         kept = self._kept
         assert kept is not None  # the update has made it
         estimates = in_metres(
@@ -112,11 +112,10 @@ class Video:
     def _update(
         self,
         flat: NDArray[Any],
+        photons: NDArray[np.float64],
         exposures: NDArray[np.float64] | None,
-        shape: tuple[int, int],
     ) -> NDArray[np.bool_]:
         """Fit what has changed; returns those pixels (row, col)."""
-        photons = photon_sums(flat).reshape(shape)
         usable = self.calibration.usable
         kept = self._kept
         if kept is None or kept.light.dtype != flat.dtype:
@@ -126,7 +125,7 @@ class Video:
                 photons=photons,
                 frames=exposures,
                 fit=_no_fit(flat.shape[0], self._plan.bands),
-                fitted=np.zeros(shape, bool),
+                fitted=np.zeros(photons.shape, bool),
             )
         else:
             changed = usable & self._differs(flat, photons, exposures, kept)

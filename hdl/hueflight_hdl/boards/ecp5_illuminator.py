@@ -15,12 +15,15 @@ from .illuminator_pins import add_from_platform
 from .pins import drive
 
 FAST_ROUTES = {
-    # keeps yosys from merging the channels' equal registers into nets that span the device
-    "script_after_read": "setattr -mod -set keep_hierarchy 1 *.channel? *.channel??",
+    # keeps yosys from merging equal registers of channels into nets that span the device
+    "script_after_read": (
+        "setattr -mod -set keep_hierarchy 1 *.channel? *.channel?? *.generator.trigger_out*"
+    ),
     # and from making resets of choices there: those are the slowest wires
     "synth_opts": "-run begin:map_ffs",
     "script_after_synth": (
-        "dffunmap -srst-only *.channel? *.channel??; synth_ecp5 -run map_ffs: -top top"
+        "dffunmap -srst-only *.channel? *.channel?? *.generator.trigger_out*; "
+        "synth_ecp5 -run map_ffs: -top top"
     ),
 }
 

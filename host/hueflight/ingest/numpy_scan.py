@@ -288,7 +288,7 @@ def scan(
 
     wait, pause = 0, 1  # packets until the fast way is tried again, and how many next time
     while not (frames and frames in (limit, stride)) and found_others < len(others):
-        if wait == 0 and frames:
+        if wait == 0 and frames and stream.size - at >= 4 * int(places[frames - 1, 1]):
             walked = walk_frames(
                 stream.octets, at, rows=rows, cols=cols, code_bits=code_bits, run=run,
                 most=min(limit, stride) - frames,

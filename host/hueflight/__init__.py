@@ -1,19 +1,23 @@
 """Host software of Hueflight: from photon codes to depth and reflectance in every band."""
 
 from hueflight.calibration import Calibration, calibrate
+from hueflight.color import color_picture
 from hueflight.errors import HueflightError
 from hueflight.instrument import Instrument
 from hueflight.reconstruction.alternated import reconstruct_alternated
 from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
 from hueflight.reconstruction.reconstruct import reconstruct
+from hueflight.reconstruction.uncertainty import reflectance_interval
 
 __all__ = [
     "Calibration",
     "HueflightError",
     "Instrument",
     "calibrate",
+    "color_picture",
     "depth_bound",
     "reconstruct",
     "reconstruct_alternated",
     "reflectance_bound",
+    "reflectance_interval",
 ]

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight.color import color_picture
 from hueflight.display import three_band_rgb
 from hueflight.errors import ExportError
 from hueflight.export.colormap import NO_DATA, colours
@@ -44,7 +45,8 @@ def write_png(
     Parameters
     ----------
     image : one image.
-    variable : its name, or ``"rgb"`` for the three-band picture.
+    variable : its name; ``"rgb"`` for colours from every band (from three bands if the image
+        does not describe its instrument), ``"three-band"`` for the paper's picture.
     band : which, where the variable has one plane per band.
     limits : values of the bar's ends; by default percentiles 1 and 99.
     """
@@ -77,9 +79,11 @@ def _picture(
     require_image(image)
     if SERIES_DIM in image.dims:
         raise ExportError(f"a picture shows one image: select one {SERIES_DIM!r} of the series")
-    if variable == "rgb":
-        pixels = np.rint(three_band_rgb(image) * 255).astype(np.uint8)
-        return _enlarged(pixels), {"variable": "rgb"}
+    if variable in ("rgb", "three-band"):
+        all_bands = variable == "rgb" and "instrument_description" in image.attrs
+        colour = color_picture(image) if all_bands else three_band_rgb(image)
+        pixels = np.rint(colour * 255).astype(np.uint8)
+        return _enlarged(pixels), {"variable": "rgb" if all_bands else "three-band"}
     plane = _plane(image, variable, band)
     low, high = limits or _percentiles(plane)
     if not (np.isfinite([low, high]).all() and low < high):
@@ -95,7 +99,7 @@ def _picture(
 def _plane(image: xr.Dataset, variable: str, band: int | None) -> NDArray[np.float64]:
     if variable not in image.data_vars:
         raise ExportError(
-            f"the image has no {variable!r}: choose rgb or one of "
+            f"the image has no {variable!r}: choose rgb, three-band or one of "
             f"{', '.join(map(str, image.data_vars))}"
         )
     values = image[variable]

@@ -65,7 +65,7 @@ def test_limits_are_the_callers_to_choose(image: xr.Dataset, tmp_path: Path) -> 
 
 
 def test_wrong_planes_are_named(image: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"no 'hue': choose rgb or one of depth"):
+    with pytest.raises(ExportError, match=r"no 'hue': choose rgb, three-band or one of depth"):
         write(image, tmp_path / "x.png", variable="hue")
     with pytest.raises(ExportError, match="9 bands"):
         write(image, tmp_path / "x.png", variable="reflectance")
@@ -80,8 +80,20 @@ def test_folder_of_all_pictures(image: xr.Dataset, tmp_path: Path) -> None:
     names = {path.name for path in (tmp_path / "pictures").iterdir()}
     assert {"rgb.png", "depth.png", "depth_std.png", "reflectance-659nm.png"} <= names
     assert len(names) == 5 + 9
-    pixels, _ = opened(tmp_path / "pictures" / "rgb.png")
+    pixels, text = opened(tmp_path / "pictures" / "rgb.png")
     assert pixels.shape == (480, 336, 3)
+    assert text["variable"] == "rgb"
+
+
+def test_colours_of_all_bands_or_of_the_papers_three(image: xr.Dataset, tmp_path: Path) -> None:
+    write(image, tmp_path / "all.png", variable="rgb")
+    write(image, tmp_path / "three.png", variable="three-band")
+    assert (opened(tmp_path / "all.png")[0] != opened(tmp_path / "three.png")[0]).any()
+    unknown = image.drop_attrs()
+    write(unknown, tmp_path / "unknown.png", variable="rgb")
+    pixels, text = opened(tmp_path / "unknown.png")
+    assert text["variable"] == "three-band"
+    np.testing.assert_array_equal(pixels, opened(tmp_path / "three.png")[0])
 
 
 def test_a_plane_without_values_is_all_grey(image: xr.Dataset, tmp_path: Path) -> None:

@@ -55,8 +55,9 @@ class Scanner:
         chunks = -(-self.sensor.rows * self.sensor.cols // DEFAULT_RUN)
         self.state = np.zeros(len(STATE), np.int64)
         self.state[STATE.index("in_step")] = 1
-        # other run lengths than the usual one make do with fewer frames at a time
-        self.chunks = np.zeros(max(MAX_CHUNKS, chunks * self.limit), np.uint64)
+        # Other run lengths than the usual one make do with fewer frames at a time. A row is a cache
+        # line longer than the frames: at a power of two a frame's entries collide in the cache.
+        self.chunks = np.zeros(max(MAX_CHUNKS, chunks * (self.limit + 8)), np.uint64)
         self.headers = np.zeros((self.limit, FRAME_HEADER.size), np.uint8)
         self.places = np.zeros((self.limit, 2), np.uint64)
         self.others = np.zeros((OTHERS, 2), np.uint64)

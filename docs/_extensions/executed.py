@@ -12,6 +12,7 @@ import contextlib
 import io
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -52,19 +53,25 @@ class Page:
     def run_bash(self, code: str) -> str:
         """What the commands printed; the first that fails ends them."""
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-        done = subprocess.run(
+        with subprocess.Popen(
             ["bash", "-euo", "pipefail", "-c", code],
             cwd=self.folder,
             env={**os.environ, "PATH": path, "COLUMNS": "88", "NO_COLOR": "1"},
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
-            timeout=LONGEST_SECONDS,
-            check=False,
-        )
-        if done.returncode:
-            raise RuntimeError(f"exit code {done.returncode}:\n{done.stdout}")
-        return done.stdout
+            start_new_session=True,
+        ) as shell:
+            try:
+                printed, _ = shell.communicate(timeout=LONGEST_SECONDS)
+            except subprocess.TimeoutExpired:
+                # what the commands started holds the pipe too: the whole group goes
+                os.killpg(shell.pid, signal.SIGKILL)
+                raise
+        if shell.returncode:
+            raise RuntimeError(f"exit code {shell.returncode}:\n{printed}")
+        return printed
 
     def new_figures(self, folder: Path, stem: str) -> list[str]:
         """Save open figures into `folder`; their file names."""

@@ -23,6 +23,7 @@ def test_pages_build_from_scratch_without_a_warning(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
+        timeout=800,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-4000:]
     for page in ("first-picture", "tutorials/other-language", "api/export", "physics"):
@@ -45,6 +46,7 @@ def test_a_failing_block_fails_the_build(tmp_path: Path) -> None:
             capture_output=True,
             text=True,
             check=False,
+            timeout=100,
         )
         assert done.returncode != 0
         assert "a block failed" in done.stderr

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import argparse
 import re
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib as mpl
@@ -216,21 +218,35 @@ def speed(fig1: Fig1, write: bool) -> None:
     def run(threads: int):
         return lambda: few_photons.estimate(counts, frames, fig1.calibration, threads=threads)
 
-    seconds = best_of(
-        {
-            "one thread": run(1),
-            "two threads": run(2),
-            "joint fit, one thread": lambda: hf.reconstruct(counts, fig1.calibration),
-            "counts.sum()": lambda: counts.sum(axis=-1, dtype=np.float64),
-        },
-        rounds=7,
-    )
+    contenders = {
+        "one thread": run(1),
+        "two threads": run(2),
+        "joint fit, one thread": lambda: hf.reconstruct(counts, fig1.calibration),
+        "counts.sum()": lambda: counts.sum(axis=-1, dtype=np.float64),
+    }
+    seconds = best_of(contenders, rounds=7)
     pixels = fig1.usable.size
     rows = [
-        [name, f"{1e3 * taken:.0f}", f"{pixels / taken / 1e6:.2f}"]
+        [
+            name,
+            f"{1e3 * taken:.0f}",
+            f"{pixels / taken / 1e6:.2f}",
+            f"{1e3 * processor_seconds(contenders[name]):.0f}",
+        ]
         for name, taken in seconds.items()
     ]
-    publish("few-photons.md", "speed", table(["", "ms", "Mpixel/s"], rows), write)
+    head = ["", "ms", "Mpixel/s", "of processor time, ms"]
+    publish("few-photons.md", "speed", table(head, rows), write)
+
+
+def processor_seconds(work: Callable[[], object]) -> float:
+    """Least time that processors spend on it: what else the machine does hardly counts."""
+    least = float("inf")
+    for _ in range(5):
+        start = time.process_time()
+        work()
+        least = min(least, time.process_time() - start)
+    return least
 
 
 # -- schedules --------------------------------------------------------------------------------

@@ -241,7 +241,7 @@ class UsbHost:
 
     # -- bulk transfers -------------------------------------------------------------------------
 
-    def read(self, endpoint: int, /, *, packet_bytes: int = 512, tries: int = 200) -> bytes:
+    def read(self, endpoint: int, /, *, packet_bytes: int = 512, tries: int = 1000) -> bytes:
         """Read a transfer: packets up to a short one, or until there is none for so many tries."""
         content = b""
         while True:

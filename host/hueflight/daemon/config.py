@@ -122,7 +122,8 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     scene : that it looks at.
     camera : serial number, needed if several are plugged in.
     illuminator : its serial port; empty if something else drives the LEDs.
-    method : of reconstruction, ``"joint"``, ``"pooled"`` or ``"paper"``; empty for the best there is.
+    method : of reconstruction, ``"joint"``, ``"pooled"`` or ``"paper"``; empty for the best that
+        keeps up.
     pictures_hz : live pictures per second; 0 for what suits the frame rate.
     picture_frames : frames behind each; 0 for what suits the frame rate.
     threads : that count photons.

@@ -39,6 +39,7 @@ setup(
                         "likelihood",
                         "counts",
                         "changes",
+                        "paper",
                     )
                 ],
                 define_macros=[("MODULE", name), ("LANES", lanes)],

@@ -14,6 +14,7 @@
 #include "_likelihood.h"
 #include "_counts.h"
 #include "_changes.h"
+#include "_paper.h"
 
 #ifndef MODULE
 #define MODULE _kernels
@@ -430,6 +431,88 @@ done:
     return answer;
 }
 
+/* correlations(light, which, integers, half_width, windows, gaps, reference, influence,
+ * pixel_delays, delay, deviation, sums, background): see paper_compiled.py. */
+static PyObject *py_correlations(PyObject *self, PyObject *args)
+{
+    (void)self;
+    enum { NUMBERS = 2, HALF_WIDTH, WINDOWS, GAPS, REFERENCE, INFLUENCE, PIXEL_DELAYS, LAG, LAG_STD,
+           SUMS, FLOOR, PAPER_BUFFERS };
+    Py_buffer held[PAPER_BUFFERS];
+    PyObject *answer = NULL;
+    int count = hold(args, held, PAPER_BUFFERS, LIGHT, LAG);
+    Light light;
+    if (count < PAPER_BUFFERS || !light_of(&held[LIGHT], &held[WHICH], &light))
+        goto done;
+    if (held[NUMBERS].len != 6 * 4 || held[HALF_WIDTH].len != 8) {
+        PyErr_SetString(PyExc_ValueError, "correlations: wants six integers and a width");
+        goto done;
+    }
+    const int32_t *n = held[NUMBERS].buf;
+    Paper paper = {
+        .bins = (int)held[LIGHT].shape[1], .search = n[0], .reach = n[1], .most = n[2],
+        .circular = n[3], .bands = n[4], .outside = n[5],
+        .half_width = *(const double *)held[HALF_WIDTH].buf,
+        .windows = (int)(held[WINDOWS].len / 12), .window = held[WINDOWS].buf,
+        .gaps = (int)(held[GAPS].len / 8), .gap = held[GAPS].buf,
+    };
+    size_t pixels = (size_t)held[WHICH].len / 8, bins = (size_t)paper.bins;
+    size_t kept = (size_t)light.pixels;
+    int fits = paper.search >= 0 && paper.reach >= 0 && paper.reach <= paper.search
+            && paper.most >= paper.search + paper.reach && paper.most <= 2 * paper.bins
+            && paper.reach <= paper.bins && paper.half_width <= paper.most && paper.bands > 0
+            && (size_t)held[REFERENCE].len >= 2 * bins * kept
+            && (size_t)held[INFLUENCE].len >= 4 * bins * kept
+            && (size_t)held[PIXEL_DELAYS].len >= 8 * kept && (size_t)held[LAG].len >= 8 * pixels
+            && (size_t)held[LAG_STD].len >= 8 * pixels && (size_t)held[FLOOR].len >= 8 * pixels
+            && (size_t)held[SUMS].len >= 8 * pixels * (size_t)paper.bands;
+    for (int w = 0; fits && w < paper.windows; w++)
+        fits = paper.window[3 * w] >= 0 && paper.window[3 * w] < paper.bands;
+    for (int g = 0; fits && g < 2 * paper.gaps; g++)
+        fits = paper.gap[g] >= 0 && paper.gap[g] <= paper.bins;
+    if (!fits) {
+        PyErr_SetString(PyExc_ValueError, "correlations: buffers do not fit one another");
+        goto done;
+    }
+    char *block = calloc(sheet_bytes(&paper), 1);
+    if (!block) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    Sheet sheet;
+    lay_out(&paper, (char *)(((uintptr_t)block + 63) / 64 * 64), &sheet);
+    const int64_t *which = held[WHICH].buf;
+    const uint16_t *reference = held[REFERENCE].buf;
+    const float *influence = held[INFLUENCE].buf;
+    const double *pixel_delays = held[PIXEL_DELAYS].buf;
+    double *delay = held[LAG].buf, *deviation = held[LAG_STD].buf, *sums = held[SUMS].buf;
+    double *background = held[FLOOR].buf;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < pixels; i++) {
+        size_t pixel = (size_t)which[i];
+        if (i + 2 < pixels) {
+            size_t later = (size_t)which[i + 2] * bins;
+            fetch(&light, (size_t)which[i + 2], paper.bins);
+            for (size_t at = 0; at < bins; at += 32)
+                __builtin_prefetch(reference + later + at);
+            for (size_t at = 0; at < bins; at += 16)
+                __builtin_prefetch(influence + later + at);
+        }
+        read_counts(&light, pixel, paper.bins, sheet.light + paper.reach);
+        correlate_pixel(&paper, &sheet, reference + pixel * bins, influence + pixel * bins,
+                        pixel_delays[pixel], delay + i, deviation + i,
+                        sums + i * (size_t)paper.bands, background + i);
+    }
+    Py_END_ALLOW_THREADS
+    free(block);
+    answer = Py_None;
+    Py_INCREF(answer);
+done:
+    while (count--)
+        PyBuffer_Release(&held[count]);
+    return answer;
+}
+
 /* processor(): 2 if it knows AVX-512 (x86-64-v4), 1 if AVX2 and fused products (v3), else 0. */
 static PyObject *py_processor(PyObject *self, PyObject *args)
 {
@@ -453,6 +536,7 @@ static PyMethodDef methods[] = {
     {"processor", py_processor, METH_NOARGS, "Which vector instructions there are: 0, 1 or 2."},
     {"sums", py_sums, METH_VARARGS, "Counts of pixels."},
     {"contrasts", py_contrasts, METH_VARARGS, "What has changed; see hueflight.reconstruction.changes."},
+    {"correlations", py_correlations, METH_VARARGS, "The paper's method; see paper_compiled.py."},
     {"fit", py_fit, METH_VARARGS, "Joint fit of pixels; see hueflight.reconstruction.kernels."},
     {NULL, NULL, 0, NULL},
 };

@@ -44,6 +44,8 @@ class _Kernel(Protocol):
 
     def sums(self, *buffers: Any) -> None: ...
 
+    def correlations(self, *buffers: Any) -> None: ...
+
 
 @cache
 def compiled_kernel() -> _Kernel | None:

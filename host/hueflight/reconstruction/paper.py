@@ -2,12 +2,14 @@
 
 Kept as published: equation (2) subtracts no background. It is the baseline that better
 estimators are measured against. Only the loss of later photons of an exposure, which makes
-bright pixels seem darker than they are, is undone unless asked otherwise.
+bright pixels seem darker than they are, is undone unless asked otherwise. Where the counts are
+whole numbers, `paper_compiled` does the same faster.
 """
 
 from __future__ import annotations
 
 from math import ceil
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from hueflight.calibration import Calibration, window_sums
 from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.correlation import correlate, peak_centroid
 from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.paper_compiled import Measured, Search, measure
 from hueflight.reconstruction.pileup import lost_photons_factor
 from hueflight.reconstruction.quality import Quality
 
@@ -24,10 +27,11 @@ TILE_PIXELS = 512  #: pixels correlated at once: their spectra stay in the cache
 
 
 def estimate(
-    light: NDArray[np.floating],
+    light: NDArray[Any],
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
     *,
+    photons: NDArray[np.float64] | None = None,
     range_correction: bool = False,
     pileup_correction: bool = True,
 ) -> Estimates:
@@ -37,44 +41,39 @@ def estimate(
     ----------
     light : (row, col, bin) counts in time order.
     frames : (row, col) exposures behind them, or None to assume as many as the reference had.
+    photons : (row, col) counts of the light, where they are known already.
     range_correction : multiply reflectance by (distance / reference distance)².
     pileup_correction : undo the loss of later photons of an exposure, so that reflectance
         stays proportional to light at high occupancy (a sensor keeps one photon per exposure:
         the mean number that arrived is −ln(1 − hits/frames)).
     """
-    rows, cols, _ = light.shape
+    rows, cols, count = light.shape
+    known: NDArray[np.float64] = (
+        light.sum(axis=-1, dtype=np.float64) if photons is None else photons
+    )
     usable = calibration.usable
-    delay_bins = np.full((rows, cols), np.nan)
-    delay_std = np.full((rows, cols), np.nan)
+    chosen = usable & (known > 0)
+    delay_bins, delay_std = (np.full((rows, cols), np.nan) for _ in range(2))
+    background = np.where(outside_windows(calibration).any(), np.zeros((rows, cols)), np.nan)
     sums = np.full((len(calibration.instrument.bands), rows, cols), np.nan)
-    chosen = np.argwhere(usable & (light.any(axis=-1)))
-    for start in range(0, len(chosen), TILE_PIXELS):
-        row, col = chosen[start : start + TILE_PIXELS].T
-        tile = light[row, col]
-        delay_bins[row, col], delay_std[row, col] = delays(
-            tile, calibration.reference[row, col], calibration
-        )
-        shift = np.rint(delay_bins[row, col] + calibration.pixel_delay[row, col]).astype(np.intp)
-        sums[:, row, col] = window_sums(
-            tile,
-            calibration.windows,
-            shift,
-            bands=sums.shape[0],
-            circular=calibration.bins.period_ns is not None,
-        )
+    pixels = np.flatnonzero(known)
+    measured = _measured(light.reshape(rows * cols, count), pixels, known, calibration)
+    kept = chosen.ravel()[pixels]
+    delay_bins[chosen] = measured.delay[kept]
+    delay_std[chosen] = measured.deviation[kept]
+    sums[:, chosen] = measured.sums[kept].T
+    background.ravel()[pixels] = measured.background
 
     metres_per_bin = calibration.bin_width_ns * SPEED_OF_LIGHT_M_PER_NS / 2
     along_axis = metres_per_bin * calibration.instrument.ray_cosine()
     depth = calibration.distance + delay_bins * along_axis
     depth_std = delay_std * along_axis
-    photons = light.sum(axis=-1, dtype=np.float64)
-
     quality = np.zeros((rows, cols), np.uint16)
     quality[calibration.dead] |= int(Quality.DEAD)
     quality[calibration.hot] |= int(Quality.HOT)
     if frames is not None and pileup_correction:
         # every exposure held a photon: how many were lost can't be known
-        quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
+        quality[usable & (known >= frames)] |= int(Quality.SATURATED)
     # no better than a guess within the range searched: a uniform guess has range/√12
     blind = 2 * search_bins(calibration) * along_axis / np.sqrt(12)
     starved = usable & ~(depth_std < blind)
@@ -82,7 +81,7 @@ def estimate(
     for plane in (depth, depth_std, *sums):
         plane[starved] = np.nan
 
-    scale = _reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
+    scale = _reflectance_scale(known, frames, calibration, pileup_correction=pileup_correction)
     if range_correction:
         scale = scale * np.square(_range_ratio(depth, calibration))
     gain = calibration.gain[:, None, None] * scale
@@ -92,10 +91,64 @@ def estimate(
         reflectance=gain * sums,
         # Poisson; one count at least, so that an empty window does not claim certainty
         reflectance_std=gain * np.sqrt(np.maximum(sums, 1)),
-        background=_background(light, calibration),
-        photons=photons,
+        background=background,
+        photons=known,
         quality=quality,
     )
+
+
+def _measured(
+    light: NDArray[Any],
+    pixels: NDArray[np.int64],
+    photons: NDArray[np.float64],
+    calibration: Calibration,
+) -> Measured:
+    """Pixels of (pixel, bin) measured, compiled where that is possible."""
+    most = float(photons.max(initial=0))
+    outside = outside_windows(calibration)
+    by_kernel = measure(light, pixels, most, calibration, search_of(calibration), outside)
+    if by_kernel is not None:
+        return by_kernel
+    starts = range(0, max(len(pixels), 1), TILE_PIXELS)
+    parts = [
+        measured_numpy(light, pixels[start : start + TILE_PIXELS], calibration) for start in starts
+    ]
+    return Measured(
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in Measured.__dataclass_fields__
+        }
+    )
+
+
+def measured_numpy(
+    light: NDArray[Any], pixels: NDArray[np.int64], calibration: Calibration
+) -> Measured:
+    """Delay, window sums and background of pixels: the definition.
+
+    Parameters
+    ----------
+    light : (pixel, bin) counts in time order.
+    pixels : those to measure.
+    """
+    tile = light[pixels].astype(np.float32, copy=False)
+    reference = calibration.reference.reshape(light.shape)[pixels]
+    delay, deviation = delays(tile, reference, calibration)
+    sums = window_sums(
+        tile,
+        calibration.windows,
+        np.rint(delay + calibration.pixel_delay.ravel()[pixels]).astype(np.intp),
+        bands=len(calibration.instrument.bands),
+        circular=calibration.bins.period_ns is not None,
+    )
+    return Measured(delay, deviation, sums.T, _background(tile, calibration))
+
+
+def search_of(calibration: Calibration) -> Search:
+    """Lags that are searched, and the window of the centroid."""
+    search = search_bins(calibration)
+    half_width = min(calibration.half_width_bins, float(search))
+    return Search(search, half_width, search + ceil(half_width))
 
 
 def search_bins(calibration: Calibration) -> int:
@@ -115,9 +168,9 @@ def delays(
     ----------
     light, reference : (pixel, bin) counts in time order.
     """
-    search = search_bins(calibration)
-    half_width = min(calibration.half_width_bins, float(search))
-    correlation = correlate(light, reference, search + ceil(half_width))
+    lags = search_of(calibration)
+    search, half_width = lags.search, lags.half_width
+    correlation = correlate(light, reference, lags.most)
     delay = peak_centroid(correlation, search=search, half_width=half_width)
     return delay, _centroid_deviation(light, reference, delay, correlation, search, half_width)
 
@@ -192,16 +245,21 @@ def _range_ratio(depth: NDArray[np.float64], calibration: Calibration) -> NDArra
     return depth / calibration.distance if calibration.distance > 0 else np.full_like(depth, np.nan)
 
 
+def outside_windows(calibration: Calibration) -> NDArray[np.bool_]:
+    """Full bins (bin,) that belong to no window of the reference."""
+    count = calibration.bins.count
+    outside = calibration.bins.widths_ns > 0.9 * calibration.bin_width_ns
+    for window in calibration.windows:
+        outside[np.arange(window.start, window.stop) % count] = False
+    return outside
+
+
 def _background(light: NDArray[np.floating], calibration: Calibration) -> NDArray[np.float64]:
-    """Mean counts per code of the bins outside all windows, (row, col); NaN if there are none.
+    """Mean counts per code of the bins outside all windows, (pixel,); NaN if there are none.
 
     The windows are those of the reference, so the tails of a pixel much farther away count in.
     """
-    count = calibration.bins.count
-    outside = np.ones(count, dtype=bool)
-    for window in calibration.windows:
-        outside[np.arange(window.start, window.stop) % count] = False
-    outside &= calibration.bins.widths_ns > 0.9 * calibration.bin_width_ns
+    outside = outside_windows(calibration)
     if not outside.any():
-        return np.full(light.shape[:2], np.nan)
-    return light[..., outside].mean(axis=-1, dtype=np.float64)
+        return np.full(len(light), np.nan)
+    return light[:, outside].mean(axis=-1, dtype=np.float64)

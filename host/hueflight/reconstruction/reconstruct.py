@@ -112,9 +112,10 @@ def reconstruct(
         )
     else:
         estimates = paper.estimate(
-            light.astype(np.float32, copy=False),
+            light,
             exposures,
             calibration,
+            photons=seen.photons,
             range_correction=range_correction,
             pileup_correction=pileup_correction,
         )

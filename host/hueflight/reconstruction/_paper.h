@@ -1,0 +1,252 @@
+/* The paper's method on one pixel: correlation with its reference, centroid, window sums. paper.py
+ * is its definition. Counts are whole numbers, so that sums of them are exact. */
+#ifdef __AVX512F__
+#include <immintrin.h>
+#endif
+
+/* What all pixels share. Lags are counted from −most to most. */
+typedef struct {
+    int bins, search, reach, most, circular, windows, bands, gaps, outside;
+    double half_width;
+    const int32_t *window, *gap; /* (band, start, stop) each; (start, stop) of bins in no window */
+} Paper;
+
+/* `light` begins `reach` bins early and ends as much late, around the circle; `reference` has
+ * `most` zeros about it; `correlation` runs from the last lag to the first, as the reference does
+ * when lags rise. */
+typedef struct {
+    float *light, *reference, *correlation, *counts, *steep;
+    int32_t *bins, *running, *twice;
+    double *mass, *moment;
+} Sheet;
+
+/* Bins with photons and their counts; returns how many. */
+INLINE int occupied(const float *light, int bins, int32_t *where, float *counts)
+{
+    int some = 0, i = 0;
+#if defined(__AVX512F__) && LANES == 16
+    for (; i + LANES <= bins; i += LANES) {
+        __m512 h = _mm512_loadu_ps(light + i);
+        __mmask16 there = _mm512_cmp_ps_mask(h, _mm512_setzero_ps(), _CMP_NEQ_OQ);
+        __m512i number = _mm512_add_epi32((__m512i)lane_numbers(), _mm512_set1_epi32(i));
+        _mm512_storeu_si512(where + some, _mm512_maskz_compress_epi32(there, number));
+        _mm512_storeu_ps(counts + some, _mm512_maskz_compress_ps(there, h));
+        some += __builtin_popcount(there);
+    }
+#endif
+    for (; i < bins; i++) {
+        where[some] = i;
+        counts[some] = light[i];
+        some += light[i] != 0;
+    }
+    return some;
+}
+
+#define ABREAST 3 /* vectors of lags that stay in registers */
+
+/* Correlation at the lags of places [from, to) of the sheet, whole vectors of them. */
+INLINE void correlate(const Sheet *sheet, int some, int from, int to)
+{
+    for (int j = from; j < to; j += ABREAST * LANES) {
+        vec even[ABREAST] = {0}, odd[ABREAST] = {0};
+        const float *reference = sheet->reference + j;
+        int k = 0;
+        for (; k + 2 <= some; k += 2) {
+            const float *here = reference + sheet->bins[k], *next = reference + sheet->bins[k + 1];
+            vec a = fill(sheet->counts[k]), b = fill(sheet->counts[k + 1]);
+            for (int v = 0; v < ABREAST; v++) {
+                even[v] += a * load(here + v * LANES);
+                odd[v] += b * load(next + v * LANES);
+            }
+        }
+        if (k < some)
+            for (int v = 0; v < ABREAST; v++)
+                even[v] += fill(sheet->counts[k]) * load(reference + sheet->bins[k] + v * LANES);
+        for (int v = 0; v < ABREAST && j + v * LANES < to; v++)
+            store(sheet->correlation + j + v * LANES, even[v] + odd[v]);
+    }
+}
+
+/* Sums up to each place, the place itself included, modulo 2³². */
+INLINE void sum_up(const int32_t *from, int count, int32_t *to)
+{
+    ivec lanes = lane_numbers(), before = {0};
+    for (int i = 0; i < count; i += LANES) {
+        ivec x = (ivec)load((const float *)from + i);
+        for (int by = 1; by < LANES; by *= 2)
+            x += (lanes >= by) & (ivec)picked((vec)x, (lanes - by) & (LANES - 1));
+        x += before;
+        store((float *)to + i, (vec)x);
+        before = (ivec)picked((vec)x, (ivec){0} + (LANES - 1));
+    }
+}
+
+/* Σ a·b² of `count` numbers. */
+INLINE float weighed(const float *a, const float *b, int count)
+{
+    vec whole = {0};
+    int i = 0;
+    for (; i + LANES <= count; i += LANES)
+        whole += load(a + i) * load(b + i) * load(b + i);
+    ivec inside = lane_numbers() < count - i;
+    whole += choose(inside, load(a + i), (vec){0}) * choose(inside, load(b + i), (vec){0})
+           * choose(inside, load(b + i), (vec){0});
+    return sum(whole);
+}
+
+/* Integrals of the weight above the pedestal, and of its first moment, up to each lag's edge. */
+INLINE void integrate(const Paper *paper, const Sheet *sheet, float pedestal, int low, int high)
+{
+    double mass = 0, moment = 0;
+    for (int k = low; k < high; k++) {
+        float above = sheet->correlation[2 * paper->most - k] - pedestal;
+        double weight = above > 0 ? (double)above : 0;
+        sheet->mass[k] = mass;
+        sheet->moment[k] = moment;
+        mass += weight;
+        moment += weight * (k - paper->most);
+    }
+    sheet->mass[high] = mass;
+    sheet->moment[high] = moment;
+}
+
+INLINE double between(const double *table, int last, double position)
+{
+    int i = (int)position < last ? (int)position : last - 1;
+    return table[i] + (table[i + 1] - table[i]) * (position - i);
+}
+
+INLINE double clipped(double x, double low, double high)
+{
+    return x < low ? low : x > high ? high : x;
+}
+
+/* Delay in bins; `low` and `high`, the lags known as yet, grow where more are wanted. */
+INLINE double centroid(const Paper *paper, const Sheet *sheet, int some, float *pedestal,
+                       int *low, int *high)
+{
+    int most = paper->most, best = most + paper->search;
+    float least = sheet->correlation[best], top = least;
+    for (int j = best - 1; j >= most - paper->search; j--) { /* lags rise */
+        float c = sheet->correlation[j];
+        best = c > top ? j : best;
+        top = c > top ? c : top;
+        least = c < least ? c : least;
+    }
+    *pedestal = least;
+    double delay = most - best, edge = most + 0.5;
+    integrate(paper, sheet, least, *low, *high);
+    for (int round = 0; round < 3; round++) {
+        double from = clipped(delay - paper->half_width, -edge, edge) + edge;
+        double to = clipped(delay + paper->half_width, -edge, edge) + edge;
+        if (from < *low || to > *high) {
+            correlate(sheet, some, 0, 2 * most + 1 - *high);
+            correlate(sheet, some, 2 * most + 1 - *low, 2 * most + 1);
+            *low = 0, *high = 2 * most + 1;
+            integrate(paper, sheet, least, *low, *high);
+        }
+        double inside = between(sheet->mass, *high, to) - between(sheet->mass, *high, from);
+        double first = between(sheet->moment, *high, to) - between(sheet->moment, *high, from);
+        if (inside > 0)
+            delay = first / inside;
+        delay = clipped(delay, -paper->search, paper->search);
+    }
+    return delay;
+}
+
+/* Standard deviation of the centroid; see `_centroid_deviation` of paper.py. */
+INLINE double deviation_of(const Paper *paper, const Sheet *sheet, const float *influence,
+                           int whole, float pedestal)
+{
+    int bins = paper->bins, reach = paper->reach, at = (whole % bins + bins) % bins;
+    const float *light = sheet->light + reach, *reference = sheet->reference + paper->most;
+    /* Σ m·h(i + m) over ±reach, by parts */
+    for (int i = 0; i < bins; i += LANES) {
+        ivec ends = (ivec)load((float *)sheet->running + i)
+                  + (ivec)load((float *)sheet->running + i + 2 * reach + 1);
+        ivec slope = reach * ends - (ivec)load((float *)sheet->twice + i + 2 * reach + 1)
+                   + (ivec)load((float *)sheet->twice + i + 1);
+        store(sheet->steep + i, __builtin_convertvector(slope, vec));
+    }
+    double scatter = (double)weighed(light + at, influence, bins - at)
+                   + (double)weighed(light, influence + bins - at, at)
+                   + (double)weighed(reference, sheet->steep + at, bins - at)
+                   + (double)weighed(reference + bins - at, sheet->steep, at);
+    const float *middle = sheet->correlation + paper->most - whole;
+    double inside = 0, edge = 0.5 * ((double)middle[-reach] + (double)middle[reach]) - (double)pedestal;
+    for (int lag = -reach; lag <= reach; lag++)
+        inside += (double)middle[lag];
+    double gain = inside - (2 * reach + 1) * (double)pedestal
+                - 2 * paper->half_width * (edge > 0 ? edge : 0);
+    return gain > 0 ? sqrt(scatter) / gain : INFINITY;
+}
+
+/* Counts before a bin that may lie on another turn. */
+INLINE double before(const Paper *paper, const int32_t *running, int bin)
+{
+    int bins = paper->bins;
+    if (!paper->circular)
+        return running[bin < 0 ? 0 : bin > bins ? bins : bin] - running[0];
+    int turns = bin / bins - (bin % bins < 0), rest = bin - turns * bins;
+    return (double)(running[rest] - running[0])
+         + (double)turns * (double)(running[bins] - running[0]);
+}
+
+/* One pixel whose light is on the sheet; `influence` is the reference's, see paper_compiled.py. */
+INLINE void correlate_pixel(const Paper *paper, const Sheet *sheet, const uint16_t *reference,
+                            const float *influence, double pixel_delay, double *delay,
+                            double *deviation, double *sums, double *background)
+{
+    int bins = paper->bins, reach = paper->reach, most = paper->most;
+    memcpy(sheet->light, sheet->light + bins, (size_t)reach * sizeof(float));
+    memcpy(sheet->light + bins + reach, sheet->light + reach, (size_t)reach * sizeof(float));
+    for (int i = 0; i < bins; i++)
+        sheet->reference[most + i] = (float)reference[i];
+    int some = occupied(sheet->light + reach, bins, sheet->bins, sheet->counts);
+    int around = bins + 2 * reach;
+    for (int i = 0; i < around; i += LANES)
+        store(sheet->steep + i, (vec)__builtin_convertvector(load(sheet->light + i), ivec));
+    sum_up((int32_t *)sheet->steep, around, sheet->running + 1);
+    sum_up(sheet->running + 1, around, sheet->twice + 2);
+    int low = most - paper->search, high = most + paper->search + 1;
+    correlate(sheet, some, low, high);
+    float pedestal;
+    *delay = centroid(paper, sheet, some, &pedestal, &low, &high);
+    int whole = (int)rint(*delay);
+    if (most + whole - reach < low || most + whole + reach >= high) {
+        correlate(sheet, some, 0, most - paper->search);
+        correlate(sheet, some, most + paper->search + 1, 2 * most + 1);
+    }
+    *deviation = deviation_of(paper, sheet, influence, whole, pedestal);
+    const int32_t *running = sheet->running + reach;
+    int shift = (int)rint(*delay + pixel_delay);
+    for (int k = 0; k < paper->bands; k++)
+        sums[k] = 0;
+    for (int w = 0; w < paper->windows; w++) {
+        const int32_t *window = paper->window + (size_t)w * 3;
+        sums[window[0]] += before(paper, running, window[2] + shift)
+                         - before(paper, running, window[1] + shift);
+    }
+    double apart = 0;
+    for (int g = 0; g < paper->gaps; g++)
+        apart += running[paper->gap[2 * g + 1]] - running[paper->gap[2 * g]];
+    *background = paper->outside ? apart / paper->outside : NAN;
+}
+
+static size_t sheet_bytes(const Paper *paper)
+{
+    return 10 * 4 * (size_t)(paper->bins + 2 * paper->most + 2 * paper->reach + 8 * LANES) + 64 * 12
+         + 2 * 8 * (size_t)(2 * paper->most + 4);
+}
+
+static void lay_out(const Paper *paper, char *place, Sheet *sheet)
+{
+    size_t room = 4 * (size_t)(paper->bins + 2 * paper->most + 2 * paper->reach + 8 * LANES);
+    char **parts[] = {(char **)&sheet->light, (char **)&sheet->reference,
+                      (char **)&sheet->correlation, (char **)&sheet->counts, (char **)&sheet->steep,
+                      (char **)&sheet->bins, (char **)&sheet->running, (char **)&sheet->twice};
+    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++, place += (room + 63) / 64 * 64)
+        *parts[i] = place;
+    sheet->mass = (double *)place;
+    sheet->moment = sheet->mass + 2 * paper->most + 4;
+}

@@ -1,0 +1,202 @@
+"""The paper's method compiled, against its definition: the same to single precision's rounding."""
+
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+import hueflight as hf
+from hueflight.reconstruction import kernels, paper, paper_compiled
+from hueflight.reconstruction.kernels import BUILDS, compiled_kernel
+
+compiled = pytest.mark.skipif(compiled_kernel() is None, reason="no compiled kernel was built")
+
+
+@pytest.fixture(scope="module")
+def instrument(small):
+    return small(rows=12, cols=12)
+
+
+@pytest.fixture(scope="module")
+def calibration(instrument, draw):
+    return hf.calibrate(draw(instrument, depth=0.4, photons=5000), instrument, distance=0.4)
+
+
+def both(light, calibration):
+    """Definition and kernel of the pixels with photons, and where two lags tie for the highest."""
+    light = light.reshape(-1, light.shape[-1])
+    photons = light.sum(axis=-1, dtype=np.float64)
+    pixels = np.flatnonzero(photons)
+    fast = paper_compiled.measure(
+        light,
+        pixels,
+        photons.max(),
+        calibration,
+        paper.search_of(calibration),
+        paper.outside_windows(calibration),
+    )
+    assert fast is not None
+    search = paper.search_bins(calibration)
+    reference = calibration.reference.reshape(light.shape).astype(np.int64)
+    tied = np.zeros(len(pixels), bool)
+    for place, pixel in enumerate(pixels):  # in whole numbers: no rounding chooses
+        every = np.correlate(light[pixel].astype(np.int64), reference[pixel], "full")
+        middle = light.shape[1] - 1
+        ordered = np.sort(every[middle - search : middle + search + 1])
+        tied[place] = ordered[-1] == ordered[-2]
+    return paper.measured_numpy(light, pixels, calibration), fast, tied
+
+
+def assert_same(slow, fast, tied):
+    """Delays to a thousandth of a bin but where two lags tie, sums to the last photon.
+
+    Where they tie, the definition's transform chooses by its rounding.
+    """
+    close = np.abs(slow.delay - fast.delay) < 1e-3
+    assert (close | tied).all()
+    assert close.mean() > 0.5
+    np.testing.assert_allclose(fast.deviation[close], slow.deviation[close], rtol=1e-3)
+    np.testing.assert_array_equal(fast.sums[close], slow.sums[close])
+    np.testing.assert_allclose(fast.background, slow.background, rtol=1e-12)
+
+
+@compiled
+@pytest.mark.parametrize("depth", [0.4, 0.9, 1.9])  # the last: lags beyond the range searched
+@pytest.mark.parametrize("photons", [20, 620, 20_000])
+@pytest.mark.parametrize("background", [0.0, 1.0])
+def test_same_results(instrument, calibration, draw, depth, photons, background):
+    counts = draw(
+        instrument, depth=depth, photons=photons, background=background * photons, frames=10**7
+    )
+    light = instrument.time_bins().in_time_order(counts)
+    assert_same(*both(light, calibration))
+
+
+@compiled
+@pytest.mark.parametrize("name", BUILDS)
+def test_every_width_of_vectors_gives_the_same(instrument, calibration, draw, monkeypatch, name):
+    able = import_module("hueflight.reconstruction._kernels").processor()
+    if BUILDS.index(name) < 2 - able:
+        pytest.skip(f"this processor can't run {name}")
+    build = pytest.importorskip(f"hueflight.reconstruction.{name}")
+    monkeypatch.setattr(paper_compiled, "compiled_kernel", lambda: build)
+    counts = draw(instrument, depth=0.9, photons=620, background=62)
+    assert_same(*both(instrument.time_bins().in_time_order(counts), calibration))
+
+
+@compiled
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_every_type_and_direction_of_counts(instrument, calibration, draw, dtype, reverse):
+    light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).astype(dtype)
+    if reverse:
+        light = np.ascontiguousarray(light[..., ::-1])[..., ::-1]
+    assert_same(*both(light, calibration))
+
+
+@compiled
+def test_windows_that_wrap_or_end(calibration, instrument, draw):
+    light = instrument.time_bins().in_time_order(draw(instrument, depth=0.9, photons=620))
+    first, last = calibration.windows[0], calibration.windows[-1]
+    far = (replace(first, start=-30, stop=20), replace(last, start=470, stop=530))
+    circular = replace(calibration, windows=far)
+    assert_same(*both(light, circular))
+    bins = replace(calibration.bins, period_ns=None)
+    assert_same(*both(light, replace(circular, bins=bins)))
+
+
+@compiled
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"range_correction": True},
+        {"pileup_correction": False},
+        {"frames": 50_000},
+        {"bands": [0, 4]},
+        {"region": np.s_[2:7, 3:9]},
+    ],
+)
+def test_images_are_the_same(instrument, draw, monkeypatch, options):
+    reference = draw(instrument, depth=0.4, photons=5000, frames=9000)
+    bins = instrument.time_bins()
+    reference[1, 2, bins.codes] = 300
+    reference[5, 6, 1:] = 0
+    calibration = hf.calibrate(reference, instrument, distance=0.4)
+    seen = draw(instrument, depth=0.9, photons=2000, frames=4000)  # half the exposures hold one
+    seen[3, 4, 1:] = 0
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "numpy")
+    slow = hf.reconstruct(seen, calibration, method="paper", **options)
+    assert calibration not in paper_compiled._ready
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "c")
+    fast = hf.reconstruct(seen, calibration, method="paper", **options)
+    assert calibration in paper_compiled._ready
+    np.testing.assert_array_equal(fast.quality, slow.quality)
+    for name in slow.data_vars:
+        np.testing.assert_allclose(fast[name], slow[name], rtol=1e-3, atol=1e-9)
+    assert np.isnan(fast.depth.values[[1, 5], [2, 6]]).all()
+
+
+@compiled
+def test_no_photon_anywhere_in_the_windows(instrument, calibration):
+    """One photon in each pixel, everywhere in turn."""
+    light = np.zeros((144, instrument.time_bins().count), np.uint16)
+    light[np.arange(144), np.arange(144) * 3] = 1
+    assert_same(*both(light, calibration))
+
+
+@compiled
+@pytest.mark.parametrize("reference", [0.5, 70_000.0, -1.0])
+def test_references_the_kernel_does_not_read_go_by_the_definition(
+    instrument, calibration, draw, reference
+):
+    counts = calibration.reference.copy()
+    counts[0, 0, 100] = reference
+    other = replace(calibration, reference=counts)
+    light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).reshape(144, -1)
+    lags, outside = paper.search_of(other), paper.outside_windows(other)
+    assert paper_compiled.measure(light, np.arange(144), 620, other, lags, outside) is None
+    found = paper.estimate(light.reshape(12, 12, -1), None, other)
+    assert np.isfinite(found.depth).all()
+
+
+@compiled
+def test_counts_the_kernel_does_not_read_go_by_the_definition(instrument, calibration, draw):
+    light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).reshape(144, -1)
+    lags, outside = paper.search_of(calibration), paper.outside_windows(calibration)
+    for counts, most in ((light.astype(np.float32), 620), (light, 2**31)):
+        found = paper_compiled.measure(counts, np.arange(144), most, calibration, lags, outside)
+        assert found is None
+
+
+@compiled
+def test_buffers_that_do_not_fit_are_refused(instrument, calibration, draw):
+    light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).reshape(144, -1)
+    kernel = compiled_kernel()
+    both(light, calibration)
+    ready = paper_compiled._ready[calibration]
+
+    every = np.arange(144)
+
+    def run(pixels=every, delays=144, numbers=ready.numbers, windows=ready.windows):
+        kernel.correlations(
+            light,
+            pixels,
+            *(numbers, ready.half_width, windows, ready.gaps),
+            *(ready.reference, ready.influence, ready.pixel_delays),
+            *(np.empty(delays), np.empty(144), np.empty((144, 9)), np.empty(144)),
+        )
+
+    run()
+    with pytest.raises(IndexError, match="no such pixel"):
+        run(pixels=np.array([144]))
+    with pytest.raises(ValueError, match="do not fit"):
+        run(delays=143)
+    with pytest.raises(ValueError, match="do not fit"):
+        run(windows=np.array([[9, 1, 2]], np.int32))
+    with pytest.raises(ValueError, match="do not fit"):
+        run(numbers=np.array([10, 20, 30, 1, 9, 1], np.int32))
+    with pytest.raises(ValueError, match="six integers"):
+        run(numbers=ready.numbers[:5])
+    assert kernels.chosen_backend(9) == "c"

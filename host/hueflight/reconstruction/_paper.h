@@ -67,31 +67,45 @@ INLINE void correlate(const Sheet *sheet, int some, int from, int to)
     }
 }
 
-/* Sums up to each place, the place itself included, modulo 2³². */
-INLINE void sum_up(const int32_t *from, int count, int32_t *to)
+/* Sums of a vector up to each lane, the lane itself included. */
+INLINE ivec up_to_lane(ivec x)
 {
-    ivec lanes = lane_numbers(), before = {0};
+    ivec lanes = lane_numbers();
+    for (int by = 1; by < LANES; by *= 2)
+        x += (lanes >= by) & (ivec)picked((vec)x, (lanes - by) & (LANES - 1));
+    return x;
+}
+
+/* Sums up to each place, the place itself included, and sums of those, modulo 2³². */
+INLINE void sum_up(const float *from, int count, int32_t *once, int32_t *twice)
+{
+    ivec last = (ivec){0} + (LANES - 1), before = {0}, before_twice = {0};
     for (int i = 0; i < count; i += LANES) {
-        ivec x = (ivec)load((const float *)from + i);
-        for (int by = 1; by < LANES; by *= 2)
-            x += (lanes >= by) & (ivec)picked((vec)x, (lanes - by) & (LANES - 1));
-        x += before;
-        store((float *)to + i, (vec)x);
-        before = (ivec)picked((vec)x, (ivec){0} + (LANES - 1));
+        ivec x = up_to_lane(__builtin_convertvector(load(from + i), ivec));
+        ivec y = up_to_lane(x + before) + before_twice;
+        store((float *)once + i, (vec)(x + before));
+        store((float *)twice + i, (vec)y);
+        before += (ivec)picked((vec)x, last);
+        before_twice = (ivec)picked((vec)y, last);
     }
 }
 
-/* Σ a·b² of `count` numbers. */
-INLINE float weighed(const float *a, const float *b, int count)
+/* Σ a·b² of `count` numbers, by lanes. */
+INLINE vec weighed(const float *a, const float *b, int count)
 {
-    vec whole = {0};
+    vec even = {0}, odd = {0};
     int i = 0;
-    for (; i + LANES <= count; i += LANES)
-        whole += load(a + i) * load(b + i) * load(b + i);
-    ivec inside = lane_numbers() < count - i;
-    whole += choose(inside, load(a + i), (vec){0}) * choose(inside, load(b + i), (vec){0})
-           * choose(inside, load(b + i), (vec){0});
-    return sum(whole);
+    for (; i + 2 * LANES <= count; i += 2 * LANES) {
+        vec x = load(b + i), y = load(b + i + LANES);
+        even += load(a + i) * x * x;
+        odd += load(a + i + LANES) * y * y;
+    }
+    for (; i < count; i += LANES) {
+        ivec inside = lane_numbers() < count - i;
+        vec x = choose(inside, load(b + i), (vec){0});
+        even += choose(inside, load(a + i), (vec){0}) * x * x;
+    }
+    return even + odd;
 }
 
 /* Integrals of the weight above the pedestal, and of its first moment, up to each lag's edge. */
@@ -125,14 +139,22 @@ INLINE double clipped(double x, double low, double high)
 INLINE double centroid(const Paper *paper, const Sheet *sheet, int some, float *pedestal,
                        int *low, int *high)
 {
-    int most = paper->most, best = most + paper->search;
-    float least = sheet->correlation[best], top = least;
-    for (int j = best - 1; j >= most - paper->search; j--) { /* lags rise */
-        float c = sheet->correlation[j];
-        best = c > top ? j : best;
-        top = c > top ? c : top;
-        least = c < least ? c : least;
+    int most = paper->most, first = most - paper->search, last = most + paper->search;
+    vec smallest = fill(INFINITY), greatest = fill(-INFINITY);
+    for (int j = first; j <= last; j += LANES) {
+        ivec inside = lane_numbers() <= last - j;
+        vec c = load(sheet->correlation + j);
+        greatest = greater(greatest, choose(inside, c, fill(-INFINITY)));
+        smallest = -greater(-smallest, choose(inside, -c, fill(-INFINITY)));
     }
+    for (int distance = LANES / 2; distance; distance /= 2) {
+        greatest = greater(greatest, swap(greatest, distance));
+        smallest = -greater(-smallest, -swap(smallest, distance));
+    }
+    float least = smallest[0], top = greatest[0];
+    int best = last; /* lags rise as places fall */
+    while (sheet->correlation[best] < top)
+        best--;
     *pedestal = least;
     double delay = most - best, edge = most + 0.5;
     integrate(paper, sheet, least, *low, *high);
@@ -168,17 +190,17 @@ INLINE double deviation_of(const Paper *paper, const Sheet *sheet, const float *
                    + (ivec)load((float *)sheet->twice + i + 1);
         store(sheet->steep + i, __builtin_convertvector(slope, vec));
     }
-    double scatter = (double)weighed(light + at, influence, bins - at)
-                   + (double)weighed(light, influence + bins - at, at)
-                   + (double)weighed(reference, sheet->steep + at, bins - at)
-                   + (double)weighed(reference + bins - at, sheet->steep, at);
+    float scatter = sum(weighed(light + at, influence, bins - at)
+                        + weighed(light, influence + bins - at, at)
+                        + weighed(reference, sheet->steep + at, bins - at)
+                        + weighed(reference + bins - at, sheet->steep, at));
     const float *middle = sheet->correlation + paper->most - whole;
     double inside = 0, edge = 0.5 * ((double)middle[-reach] + (double)middle[reach]) - (double)pedestal;
     for (int lag = -reach; lag <= reach; lag++)
         inside += (double)middle[lag];
     double gain = inside - (2 * reach + 1) * (double)pedestal
                 - 2 * paper->half_width * (edge > 0 ? edge : 0);
-    return gain > 0 ? sqrt(scatter) / gain : INFINITY;
+    return gain > 0 ? sqrt((double)scatter) / gain : INFINITY;
 }
 
 /* Counts before a bin that may lie on another turn. */
@@ -203,11 +225,7 @@ INLINE void correlate_pixel(const Paper *paper, const Sheet *sheet, const uint16
     for (int i = 0; i < bins; i++)
         sheet->reference[most + i] = (float)reference[i];
     int some = occupied(sheet->light + reach, bins, sheet->bins, sheet->counts);
-    int around = bins + 2 * reach;
-    for (int i = 0; i < around; i += LANES)
-        store(sheet->steep + i, (vec)__builtin_convertvector(load(sheet->light + i), ivec));
-    sum_up((int32_t *)sheet->steep, around, sheet->running + 1);
-    sum_up(sheet->running + 1, around, sheet->twice + 2);
+    sum_up(sheet->light, bins + 2 * reach, sheet->running + 1, sheet->twice + 2);
     int low = most - paper->search, high = most + paper->search + 1;
     correlate(sheet, some, low, high);
     float pedestal;

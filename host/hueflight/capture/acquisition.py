@@ -371,6 +371,8 @@ class Acquisition:
         result = run.result(failure, simulated=self.snapshot.simulated)
         if recorder is not None:
             result = replace(result, recorded_frames=recorder.frames, recorded_bytes=recorder.size)
+        if run.watch is not None:
+            run.watch.close()
         self._run = None
         future, self._run_future = self._run_future, None
         self._on_event(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.capture.losses import RunTotals
+from hueflight.capture.until import Until
 from hueflight.devices.lights import CaptureKind
 from hueflight.errors import HueflightError
 from hueflight.instrument import Instrument
@@ -29,6 +30,7 @@ class RunPlan:
     frames : stop after so many; of kind ``"bands"``, for each LED. 0 for no limit.
     seconds : stop after so long.
     photons_per_pixel : stop when the mean pixel has seen so many; of kind ``"bands"`` no rule.
+    until : stop when a share of the pixels is known this well; of kind ``"scene"`` only.
     path : recording to write.
     metadata, attachments : go into the recording.
     keep : sum the whole run's histogram, one per LED of kind ``"bands"``.
@@ -39,6 +41,7 @@ class RunPlan:
     frames: int = 0
     seconds: float | None = None
     photons_per_pixel: float | None = None
+    until: Until | None = None
     path: Path | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
@@ -51,7 +54,8 @@ class RunPlan:
         Raises
         ------
         CaptureError
-            If a limit is negative, or an LED-by-LED run has no number of frames.
+            If a limit is negative, an LED-by-LED run has no number of frames, or depth is to be
+            known of what is no scene.
         """
         if self.frames < 0 or self.frames >= 1 << 32:
             raise CaptureError(f"frames = {self.frames}: must be from 0 to 2**32 - 1")
@@ -61,6 +65,12 @@ class RunPlan:
                 raise CaptureError(f"{name} = {limit}: must be a finite number above 0")
         if self.kind == "bands" and not self.frames:
             raise CaptureError("a capture of kind 'bands' needs frames: how many for each LED")
+
+        if self.until is not None and self.kind != "scene":
+            raise CaptureError(
+                f"a capture of kind {self.kind!r} can't end by what is known of depth or "
+                "reflectance: only 'scene' can; give frames, seconds or photons"
+            )
 
     def frame_limit(self, instrument: Instrument) -> int:
         """Frames after which the camera itself ends the run, 0 for none."""
@@ -99,6 +109,7 @@ class RunResult:
     simulated : whether the photons were.
     recorded_frames, recorded_bytes : safe in the recording.
     gaps : times in which the camera was away.
+    share_known : of the pixels, as well as the plan's `until` wants, at the last look; else None.
     failure : why the run ended before its time, or the recording broke off; empty if neither.
     """
 
@@ -110,4 +121,5 @@ class RunResult:
     recorded_frames: int = 0
     recorded_bytes: int = 0
     gaps: tuple[Gap, ...] = ()
+    share_known: float | None = None
     failure: str = ""

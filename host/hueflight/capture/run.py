@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hueflight.capture.losses import RunLedger, RunTotals
 from hueflight.capture.plan import Gap, RunPlan, RunResult
 from hueflight.capture.recorder import MIN_FREE_BYTES, QUEUE_BYTES
+from hueflight.capture.until import Watch
 from hueflight.devices.camera import Camera
 from hueflight.devices.streams import StreamStatistics
 from hueflight.ingest.stream import Block, HistogramStream
@@ -79,10 +80,17 @@ class Run:
     ended : the camera has said that the run is over.
     began_s, last_data_s : monotonic clock.
     gaps : times in which the camera was away.
+    watch : on what is known, where the plan ends by it.
     """
 
     def __init__(
-        self, plan: RunPlan, instrument: Instrument, settings: RunSettings, *, label: int
+        self,
+        plan: RunPlan,
+        instrument: Instrument,
+        settings: RunSettings,
+        *,
+        label: int,
+        watch: Watch | None = None,
     ) -> None:
         self.plan, self.label = plan, label
         self._instrument, self._settings = instrument, settings
@@ -100,6 +108,7 @@ class Run:
         self.last_data_s = 0.0
         self.stalled_before_s = 0.0
         self.gaps: list[Gap] = []
+        self.watch = Watch(plan.until) if plan.until is not None and watch is None else watch
         self._kept: dict[int, NDArray[np.uint32]] = {}
         self._before = RunTotals()  # of the parts before the camera went away
         self._photons_before = 0
@@ -108,7 +117,8 @@ class Run:
 
     def successor(self) -> Run:
         """The same run after a gap, with a stream and books of its own."""
-        other = Run(self.plan, self._instrument, self._settings, label=self.label + 1 & 0xFFFFFFFF)
+        label = self.label + 1 & 0xFFFFFFFF
+        other = Run(self.plan, self._instrument, self._settings, label=label, watch=self.watch)
         other.gaps = self.gaps
         other._kept = self._kept
         other._before = self._before + self.totals
@@ -156,6 +166,8 @@ class Run:
         return [block for block in blocks if block.frames]
 
     def _keep(self, block: Block) -> None:
+        if self.watch is not None and block.frames:
+            self.watch.add(block.histogram, block.frames)
         if not self.plan.keep or not block.frames:
             return
         for step, counts in block.counts.items():
@@ -169,6 +181,8 @@ class Run:
         """Whether a stop rule of the plan applies."""
         plan = self.plan
         if plan.seconds is not None and now - self.first_began_s >= plan.seconds:
+            return True
+        if self.watch is not None and self.watch.poll():
             return True
         if plan.photons_per_pixel is not None:
             pixels = self._instrument.sensor.rows * self._instrument.sensor.cols
@@ -244,5 +258,6 @@ class Run:
             histograms={step: self._kept[step] for step in sorted(self._kept)},
             simulated=simulated,
             gaps=tuple(self.gaps),
+            share_known=None if self.watch is None else self.watch.share,
             failure=failure,
         )

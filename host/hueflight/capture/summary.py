@@ -22,6 +22,7 @@ def summarise(result: RunResult, /) -> dict[str, Any]:
         "recorded_bytes": result.recorded_bytes,
         "lost": result.totals.losses.as_dict(),
         "gaps": [asdict(gap) for gap in result.gaps],
+        **({} if result.share_known is None else {"share_known": round(result.share_known, 4)}),
         "failure": result.failure,
     }
 

@@ -11,16 +11,19 @@ from cyclopts import Parameter
 from rich.live import Live
 from rich.table import Table
 
+from hueflight.calibration import Calibration
 from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan
 from hueflight.capture.snapshot import Snapshot
 from hueflight.capture.summary import write_summary
+from hueflight.capture.until import Until
 from hueflight.cli.app import app, errors
 from hueflight.cli.output import show
 from hueflight.devices.choice import choose_rig
 from hueflight.devices.lights import GUIDANCE, CaptureKind
 from hueflight.errors import HueflightError
 from hueflight.instrument import Instrument
+from hueflight.reconstruction.stopping import StopRule
 
 CONNECT_S = 10.0
 REFRESH_S = 0.2
@@ -35,6 +38,10 @@ def capture(
     frames: int = 0,
     seconds: float | None = None,
     photons: float | None = None,
+    calibration: Path | None = None,
+    until_depth_std: float | None = None,
+    until_reflectance_std: float | None = None,
+    share: float = 0.9,
     distance: float | None = None,
     note: str = "",
     camera: str | None = None,
@@ -63,6 +70,14 @@ def capture(
         Stop after so long.
     photons
         Stop when the mean pixel has seen so many.
+    calibration
+        NAME.zarr; tells how well the pixels are known.
+    until_depth_std
+        Stop when depth is known this well, metres (standard deviation).
+    until_reflectance_std
+        Stop when the reflectance in every band is.
+    share
+        Of the pixels that must be.
     distance
         Of the target, metres; noted in the recording.
     note
@@ -89,6 +104,7 @@ def capture(
     plan = RunPlan(
         kind=kind, frames=frames, seconds=seconds, photons_per_pixel=photons, path=out,
         metadata=metadata,
+        until=until_of(described, calibration, until_depth_std, until_reflectance_std, share),
     )  # fmt: skip
     plan.check()
     connect = choose_rig(
@@ -115,6 +131,35 @@ def capture(
     show(f"Capture {out}", summary, json_wanted=json)
     if result.failure:
         raise HueflightError(f"the capture broke off: {result.failure}")
+
+
+def until_of(
+    instrument: Instrument,
+    calibration: Path | None,
+    depth_std: float | None,
+    reflectance_std: float | None,
+    share: float,
+) -> Until | None:
+    """What must be known for a capture to end, or None if nothing is asked.
+
+    Raises
+    ------
+    HueflightError
+        If a wish can't be met, or there is no calibration for it.
+    """
+    if depth_std is None and reflectance_std is None:
+        if calibration is not None:
+            raise CaptureError(
+                f"calibration {calibration}: say with --until-depth-std (m) or "
+                "--until-reflectance-std what must be known"
+            )
+        return None
+    rule = StopRule(depth_std=depth_std, reflectance_std=reflectance_std, share=share)
+    if calibration is None:
+        raise CaptureError("how well pixels are known is told by a calibration: --calibration")
+    known = Calibration.load(calibration)
+    known.require(instrument)
+    return Until(rule, known)
 
 
 class _ctrl_c:  # noqa: N801 - reads as what it handles

@@ -10,6 +10,7 @@ import msgspec
 
 from hueflight.daemon.pixel import inspect
 from hueflight.daemon.service import Service
+from hueflight.reconstruction.stopping import StopRule
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Kind = Literal["scene", "reference", "bands", "dark", "flat"]
@@ -27,6 +28,9 @@ class RecordBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     frames: Annotated[int, msgspec.Meta(ge=0, le=1_000_000_000)] = 0
     seconds: Annotated[float, msgspec.Meta(gt=0, le=1e7)] | None = None
     note: Annotated[str, msgspec.Meta(max_length=1000)] = ""
+    until_depth_std: Annotated[float, msgspec.Meta(gt=0, le=1000)] | None = None
+    until_reflectance_std: Annotated[float, msgspec.Meta(gt=0, le=1000)] | None = None
+    share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
 
 
 class CalibrateBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -82,12 +86,17 @@ def _stop(service: Service, _: None) -> dict[str, Any]:
 
 
 def _record(service: Service, body: RecordBody) -> dict[str, Any]:
+    wishes = (body.until_depth_std, body.until_reflectance_std)
+    until = None
+    if wishes != (None, None):
+        until = StopRule(depth_std=wishes[0], reflectance_std=wishes[1], share=body.share)
     name = service.record(
         name=body.name or "",
         kind=body.kind,
         frames=body.frames,
         seconds=body.seconds,
         note=body.note,
+        until=until,
     )
     return {"name": name}
 

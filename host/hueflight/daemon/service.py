@@ -17,6 +17,7 @@ from hueflight.capture.plan import CaptureError, RunPlan, RunResult
 from hueflight.capture.run import RunSettings
 from hueflight.capture.snapshot import LiveBlock
 from hueflight.capture.summary import write_summary
+from hueflight.capture.until import Until
 from hueflight.daemon.calibrating import Calibrating
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.delays import Latencies
@@ -26,6 +27,7 @@ from hueflight.daemon.rates import Rates
 from hueflight.devices.lights import GUIDANCE, CaptureKind
 from hueflight.devices.rig import Connect
 from hueflight.instrument import Instrument
+from hueflight.reconstruction.stopping import StopRule
 
 log = structlog.get_logger("hueflight.daemon")
 STALE_S = 2.0  #: a picture older than this, or than three intervals, is stale
@@ -121,6 +123,7 @@ class Service:
         frames: int = 0,
         seconds: float | None = None,
         note: str = "",
+        until: StopRule | None = None,
     ) -> str:
         """Begin a recording; return its name.
 
@@ -129,17 +132,25 @@ class Service:
         FileNameError
             If the name is not allowed or taken.
         CaptureError
-            If one is being made, or the limits make no sense.
+            If one is being made, the limits make no sense, or `until` is given and there is no
+            calibration to tell how well pixels are known.
         """
         with self._lock:
             if self._recording_name:
                 raise CaptureError(
                     f"recording {self._recording_name!r} is being made: stop it first"
                 )
+            calibration = self.pictures.calibration
+            if until is not None and calibration is None:
+                raise CaptureError(
+                    "no calibration tells how well pixels are known: calibrate first, or end the "
+                    "recording by frames or seconds"
+                )
             name = name or timestamp_name()
             path = self.folder.fresh(name)
             plan = RunPlan(
                 kind=kind, frames=frames, seconds=seconds, path=path,
+                until=None if until is None or calibration is None else Until(until, calibration),
                 metadata={"daemon": self.config.name, "note": note} if note
                 else {"daemon": self.config.name},
             )  # fmt: skip

@@ -13,6 +13,7 @@ import pytest
 from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
+import hueflight as hf
 from hueflight.daemon.operations import OPERATIONS
 from hueflight.recording import open_recording
 
@@ -242,3 +243,29 @@ def test_metrics_and_health(client: TestClient) -> None:
     assert 'hueflight_frames_lost_total{place="usb"} 0.0' in text
     assert 'hueflight_thread_cpu_seconds_total{thread="acquisition"}' in text
     assert client.get("/health").json() == {"healthy": True, "state": "running", "problems": []}
+
+
+def test_what_is_to_be_known_needs_a_calibration(client: TestClient) -> None:
+    answer = client.post("/api/recordings", json={"name": "known", "until_depth_std": 0.01})
+    assert answer.status_code == 409
+    assert "no calibration" in answer.json()["error"]
+    assert not status(client)["recording"]["name"]
+    wrong = client.post("/api/recordings", json={"until_depth_std": 0.01, "share": 0})
+    assert wrong.status_code == 422
+
+
+def test_a_recording_ends_when_enough_is_known(
+    open_daemon: Callable[..., Any], instrument: hf.Instrument, draw: Any, tmp_path: Path
+) -> None:
+    reference = draw(instrument, depth=0.4, photons=5000, frames=10**6)
+    kept = tmp_path / "data/calibrations/earlier/calibration.zarr"
+    kept.parent.mkdir(parents=True)
+    hf.calibrate(reference, instrument, distance=0.4).save(kept)
+    with open_daemon(requests_per_s=1000, burst=1000) as client:
+        wish = {"name": "known", "until_reflectance_std": 50.0, "share": 0.5}
+        assert client.post("/api/recordings", json=wish).status_code == 200
+        until(lambda: bool(status(client)["recording"]["last"]), "the recording has ended")
+        last = status(client)["recording"]["last"]
+    assert last["failure"] == ""
+    assert last["share_known"] >= 0.5
+    assert last["recorded_frames"] > 0

@@ -343,6 +343,47 @@ done:
     return answer;
 }
 
+/* wide_sums(light, which, nothing, nothing, integers, reals, sizes, tables..., results): counts in
+ * the bins of the search. */
+static PyObject *py_wide_sums(PyObject *self, PyObject *args)
+{
+    (void)self;
+    Py_buffer held[DELAY + 1];
+    PyObject *answer = NULL;
+    int count = hold(args, held, DELAY + 1, LIGHT, DELAY);
+    Light light;
+    if (count < DELAY + 1 || !light_of(&held[LIGHT], &held[WHICH], &light))
+        goto done;
+    Plan plan;
+    make_plan(held, &plan);
+    size_t pixels = (size_t)held[WHICH].len / 8, wide = (size_t)plan.rough.bins;
+    if (held[LIGHT].shape[1] != plan.bins || (size_t)held[DELAY].len < 4 * pixels * wide) {
+        PyErr_SetString(PyExc_ValueError, "wide_sums: buffers do not fit one another");
+        goto done;
+    }
+    Scratch scratch;
+    char *block = make_scratch(&plan, &scratch);
+    if (!block) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    const int64_t *which = held[WHICH].buf;
+    float *results = held[DELAY].buf;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < pixels; i++) {
+        prepare(&plan, &light, (size_t)which[i], 0, 0, &scratch);
+        memcpy(results + i * wide, scratch.rough, 4 * wide);
+    }
+    Py_END_ALLOW_THREADS
+    free(block);
+    answer = Py_None;
+    Py_INCREF(answer);
+done:
+    while (count--)
+        PyBuffer_Release(&held[count]);
+    return answer;
+}
+
 enum { THEN = DELAY, KEPT_AMPLITUDES, KEPT_BACKGROUND, CONTRASTS, CHANGE_BUFFERS };
 
 /* contrasts(now, which, delays, scales, integers, reals, sizes, tables..., then, amplitudes,
@@ -361,7 +402,7 @@ static PyObject *py_contrasts(PyObject *self, PyObject *args)
     make_plan(held, &plan);
     size_t pixels = (size_t)held[WHICH].len / 8, bands = (size_t)plan.bands;
     if (plan.bands < 1 || plan.bands > MOST_BANDS || held[LIGHT].shape[1] != plan.bins
-        || held[THEN].shape[1] != plan.bins || (size_t)held[OFFSETS].len < 4 * pixels
+        || held[THEN].shape[1] != plan.rough.bins || (size_t)held[OFFSETS].len < 4 * pixels
         || (size_t)held[RATES].len < 4 * pixels || (size_t)held[CONTRASTS].len < 4 * pixels
         || (size_t)held[KEPT_AMPLITUDES].len < 4 * pixels * bands
         || (size_t)held[KEPT_BACKGROUND].len < 4 * pixels) {
@@ -382,10 +423,10 @@ static PyObject *py_contrasts(PyObject *self, PyObject *args)
     for (size_t i = 0; i < pixels; i++) {
         if (i + 2 < pixels) {
             fetch(&now, (size_t)which[i + 2], plan.bins);
-            fetch(&then, (size_t)which[i + 2], plan.bins);
+            fetch(&then, (size_t)which[i + 2], plan.rough.bins);
         }
         prepare(&plan, &now, (size_t)which[i], 0, 0, &scratch);
-        prepare(&plan, &then, (size_t)which[i], 0, 1, &scratch);
+        read_counts(&then, (size_t)which[i], plan.rough.bins, scratch.rough + scratch.rough_stride);
         results[i] = contrast(&plan, scratch.rough, scratch.rough + scratch.rough_stride, scales[i],
                               delays[i], amplitudes + i * bands, background[i], scratch.work);
     }
@@ -537,6 +578,7 @@ static PyMethodDef methods[] = {
     {"sums", py_sums, METH_VARARGS, "Counts of pixels."},
     {"contrasts", py_contrasts, METH_VARARGS, "What has changed; see hueflight.reconstruction.changes."},
     {"correlations", py_correlations, METH_VARARGS, "The paper's method; see paper_compiled.py."},
+    {"wide_sums", py_wide_sums, METH_VARARGS, "Counts in the bins of the search."},
     {"fit", py_fit, METH_VARARGS, "Joint fit of pixels; see hueflight.reconstruction.kernels."},
     {NULL, NULL, 0, NULL},
 };

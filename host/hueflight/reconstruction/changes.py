@@ -16,6 +16,11 @@ from hueflight.reconstruction.fit import FLOOR_PHOTONS, FLOOR_SHARE, Fit, by_pha
 from hueflight.reconstruction.plan import Plan
 
 
+def wide_sums(light: NDArray[Any], plan: Plan) -> NDArray[np.float64]:
+    """Counts (pixel, bin) in the wide bins of the search: what is compared, and kept for it."""
+    return plan.coarse.summed(plan.fine.summed(np.asarray(light, np.float64)))
+
+
 def contrasts(
     now: NDArray[Any],
     then: NDArray[Any],
@@ -28,14 +33,15 @@ def contrasts(
 
     Parameters
     ----------
-    now, then : (pixel, bin) counts; `then` are those behind `found`.
+    now : (pixel, bin) counts.
+    then : (pixel, wide bin) those behind `found`, as `wide_sums` gives.
     scales : (pixel,) exposures now per exposure then.
     found : fit of the pixels as they were.
     offsets_ns : (pixel,) delay that belongs to the pixel.
     """
     level, coarse = plan.rough, plan.coarse
-    a = coarse.summed(plan.fine.summed(np.asarray(now, np.float64)))
-    b = coarse.summed(plan.fine.summed(np.asarray(then, np.float64)))
+    a = wide_sums(now, plan)
+    b = np.asarray(then, np.float64)
     gap = a - scales[:, None] * b
     size = a + scales[:, None] ** 2 * b  # variance of a gap
     most = _ratio(gap.sum(axis=-1), size.sum(axis=-1))

@@ -42,6 +42,8 @@ class _Kernel(Protocol):
 
     def contrasts(self, *buffers: Any) -> None: ...
 
+    def wide_sums(self, *buffers: Any) -> None: ...
+
     def sums(self, *buffers: Any) -> None: ...
 
     def correlations(self, *buffers: Any) -> None: ...
@@ -153,6 +155,19 @@ def survey(light: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]
     sums, full = np.empty(len(light)), np.empty(len(light), np.uint8)
     kernel.sums(light, np.arange(len(light)), sums, full)
     return sums, full.astype(bool)
+
+
+def wide_sums(light: NDArray[Any], pixels: NDArray[np.int64], plan: Plan) -> NDArray[np.float32]:
+    """Counts of pixels in the wide bins of the search; see `changes.wide_sums`."""
+    if chosen_backend(plan.bands) == "numpy" or light.dtype not in COUNT_TYPES:
+        return changes.wide_sums(light[pixels], plan).astype(np.float32)
+    kernel, packed = _packed_for(plan)
+    result = np.empty((len(pixels), plan.coarse.starts.size), np.float32)
+    nothing = np.empty(0, np.float32)
+    buffers = _plan_buffers(plan, packed, DEFAULT)
+    which = np.ascontiguousarray(pixels, np.int64)
+    kernel.wide_sums(light, which, nothing, nothing, *buffers, result)
+    return result
 
 
 def contrasts(

@@ -21,16 +21,16 @@ from hueflight.reconstruction.door import check_in
 from hueflight.reconstruction.fit import Fit
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.joint import fit_chosen, in_metres, plan_for, search_range_ns
-from hueflight.reconstruction.kernels import contrasts
+from hueflight.reconstruction.kernels import contrasts, wide_sums
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
 
 @dataclass
 class _Kept:
-    """What was last fitted of every pixel."""
+    """What was last fitted of every pixel; of its counts, what changes are told by."""
 
-    light: NDArray[Any]
+    wide: NDArray[np.float32]
     photons: NDArray[np.float64]
     frames: NDArray[np.float64] | None
     fit: Fit
@@ -118,10 +118,10 @@ class Video:
         """Fit what has changed; returns those pixels (row, col)."""
         usable = self.calibration.usable
         kept = self._kept
-        if kept is None or kept.light.dtype != flat.dtype:
+        if kept is None:
             changed = usable.copy()
             kept = self._kept = _Kept(
-                light=flat.copy(),
+                wide=wide_sums(flat, np.arange(len(flat)), self._plan),
                 photons=photons,
                 frames=exposures,
                 fit=_no_fit(flat.shape[0], self._plan.bands),
@@ -130,7 +130,7 @@ class Video:
         else:
             changed = usable & self._differs(flat, photons, exposures, kept)
             pixels = np.flatnonzero(changed)
-            kept.light[pixels] = flat[pixels]
+            kept.wide[pixels] = wide_sums(flat, pixels, self._plan)
             kept.photons = np.where(changed, photons, kept.photons)
             if exposures is not None and kept.frames is not None:
                 kept.frames = np.where(changed, exposures, kept.frames)
@@ -165,7 +165,7 @@ class Video:
             scales = exposures[kept.fitted] / kept.frames[kept.fitted]
         found = kept.fit if kept.fitted.all() else kept.fit.take(pixels)
         offsets_ns = self.calibration.pixel_delay_ns[kept.fitted]
-        gaps = contrasts(flat, kept.light, pixels, scales, found, offsets_ns, self._plan)
+        gaps = contrasts(flat, kept.wide, pixels, scales, found, offsets_ns, self._plan)
         differs[kept.fitted] = gaps > self._change_sigma
         return differs
 

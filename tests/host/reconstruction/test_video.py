@@ -99,8 +99,11 @@ def test_compiled_contrasts_are_those_of_the_definition(setting):
     pixels = np.arange(0, 576, 5)
     found = kernels.fit_pixels(then, offsets, plan).take(pixels)
     scales = np.linspace(0.5, 2, pixels.size)
-    fast = kernels.contrasts(now, then, pixels, scales, found, offsets[pixels], plan)
-    slow = changes.contrasts(now[pixels], then[pixels], scales, found, offsets[pixels], plan)
+    wide = kernels.wide_sums(then, np.arange(576), plan)
+    np.testing.assert_array_equal(wide, changes.wide_sums(then, plan))
+    np.testing.assert_array_equal(wide.sum(axis=-1), then.sum(axis=-1))
+    fast = kernels.contrasts(now, wide, pixels, scales, found, offsets[pixels], plan)
+    slow = changes.contrasts(now[pixels], wide[pixels], scales, found, offsets[pixels], plan)
     np.testing.assert_allclose(fast, slow, rtol=2e-4, atol=1e-3)
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import hueflight as hf
 from hueflight.calibration import Calibration
 from hueflight.ingest import accumulate
-from hueflight.reconstruction import kernels
+from hueflight.reconstruction import kernels, paper, paper_compiled
 from hueflight.reconstruction.bounds import expected_shares
 from hueflight.reconstruction.fit import Switches
 from hueflight.reconstruction.from_packets import image_of_packets
@@ -95,6 +95,12 @@ def methods(calibration: Calibration) -> None:
     whole = histograms[PHOTONS, BACKGROUND]
     contenders["joint, whole image"] = lambda: hf.reconstruct(whole, calibration)
     contenders["paper, whole image"] = lambda: hf.reconstruct(whole, calibration, method="paper")
+    flat = calibration.bins.in_time_order(whole).reshape(PIXELS, -1)
+    every, most = np.arange(PIXELS), float(flat.sum(axis=-1).max())
+    lags, outside = paper.search_of(calibration), paper.outside_windows(calibration)
+    contenders[f"paper's correlation, {PHOTONS} + {BACKGROUND} photons"] = lambda: (
+        paper_compiled.measure(flat, every, most, calibration, lags, outside)
+    )
     contenders["read"] = lambda: whole.sum(axis=-1, dtype=np.uint32)
     show("Methods", best_of(contenders, rounds=7), "read")
 

@@ -34,13 +34,14 @@ INLINE float contrast(const Plan *plan, const float *now, const float *then, flo
     int here = lag < 0 ? 0 : lag > (float)(coarse->lags - 1) ? coarse->lags - 1 : (int)lag;
     for (int run = coarse->places[here]; run < coarse->places[here + 1]; run++) {
         const int16_t *bins = coarse->runs + (size_t)run * 3;
-        float x = 0, y = 0;
-        for (int j = bins[1]; j < bins[2]; j++) {
-            x += ((const float *)apart)[j];
-            y += ((const float *)spreads)[j];
+        vec x = {0}, y = {0};
+        for (int j = bins[1]; j < bins[2]; j += LANES) {
+            ivec inside = lane_numbers() < bins[2] - j;
+            x += choose(inside, load((const float *)apart + j), (vec){0});
+            y += choose(inside, load((const float *)spreads + j), (vec){0});
         }
-        gaps[bins[0]] += x;
-        sizes[bins[0]] += y;
+        gaps[bins[0]] += sum(x);
+        sizes[bins[0]] += sum(y);
     }
     for (int k = 0; k < plan->bands; k++)
         if (sizes[k] > 0)

@@ -63,6 +63,24 @@ INLINE void fetch(const Light *light, size_t pixel, int bins)
         __builtin_prefetch(low + at);
 }
 
+/* Sums of four bins each, whole vectors of them; returns how many. */
+INLINE int fours(const float *from, int count, float *to)
+{
+    ivec lanes = lane_numbers(), order = lanes / (LANES / 4) + 4 * (lanes % (LANES / 4));
+    int j = 0;
+    for (; j + LANES <= count; j += LANES) {
+        vec mixed = {0}; /* every fourth lane of each of four vectors, side by side */
+        for (int i = 0; i < 4; i++) {
+            vec x = load(from + 4 * j + i * LANES);
+            x += swap(x, 1);
+            x += swap(x, 2);
+            mixed = choose((lanes & 3) == i, x, mixed);
+        }
+        store(to + j, picked(mixed, order));
+    }
+    return j;
+}
+
 /* Sums of `factor` bins each within every view; returns how many. `sizes` may be those of the
  * sensor or, with `before`, of bins that were summed already. */
 INLINE int group(const Plan *plan, int before, int factor, const float *from, float *to)
@@ -73,7 +91,7 @@ INLINE int group(const Plan *plan, int before, int factor, const float *from, fl
         if (factor == 1)
             memcpy(to + made, from, (size_t)size * sizeof *to);
         else if (factor == 4)
-            for (int j = 0; j < full; j++)
+            for (int j = fours(from, full, to + made); j < full; j++)
                 to[made + j] = (from[4 * j] + from[4 * j + 1]) + (from[4 * j + 2] + from[4 * j + 3]);
         else
             for (int j = 0; j < full; j++) {

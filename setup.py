@@ -38,6 +38,7 @@ setup(
                         "search",
                         "likelihood",
                         "counts",
+                        "fit",
                         "changes",
                         "paper",
                     )

@@ -93,7 +93,8 @@ def page(reports: Iterable[dict[str, Any]], counts: Iterable[dict[str, Any]], /)
 
 
 def _name(content: dict[str, Any]) -> str:
-    lanes = f", {content['lanes']} lanes" if content.get("lanes") else ""
+    count = content.get("lanes")
+    lanes = f", {count} lane{'s' if count > 1 else ''}" if count else ""
     return f"{content['design']}, {content['board']}{lanes}"
 
 

@@ -283,7 +283,7 @@ class Acquisition:
         self._on_event("run started", {"kind": plan.kind, "recording": str(plan.path or "")})
 
     def _start_camera(self, run: Run) -> None:
-        """Begin the run with nothing of an earlier one in the stream."""
+        """Begin the run; what the link still holds of an earlier one is mostly read before."""
         assert self._rig is not None
         camera = self._rig.camera
         if camera.running():
@@ -299,6 +299,7 @@ class Acquisition:
     def _take(self, run: Run, piece: bytes, now: float) -> None:
         self._last_data_s = now
         self._received_before += len(piece)
+        piece = run.own(piece)
         while not self._returned.empty():
             run.stream.recycle(self._returned.get())
         if self._recorder is not None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.capture.beginning import Beginning
 from hueflight.capture.losses import RunLedger, RunTotals
 from hueflight.capture.plan import Gap, RunPlan, RunResult
 from hueflight.capture.recorder import MIN_FREE_BYTES, QUEUE_BYTES
@@ -93,6 +94,7 @@ class Run:
         watch: Watch | None = None,
     ) -> None:
         self.plan, self.label = plan, label
+        self._beginning = Beginning(label)
         self._instrument, self._settings = instrument, settings
         by_step = plan.kind == "bands"
         self.stream = HistogramStream(
@@ -128,8 +130,12 @@ class Run:
 
     # -- the stream ---------------------------------------------------------------------------
 
+    def own(self, piece: bytes, /) -> bytes:
+        """What of a piece of the stream belongs to this run."""
+        return self._beginning.cut(piece)
+
     def take(self, piece: bytes, now: float, statistics: StreamStatistics) -> list[Block]:
-        """Count a piece of the stream; return the histograms that it completes."""
+        """Count a piece of the run's own stream; return the histograms that it completes."""
         self.last_data_s = now
         self._statistics = statistics
         blocks = self.stream.feed(piece)

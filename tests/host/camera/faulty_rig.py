@@ -27,6 +27,7 @@ class Faults:
     plugged: bool = True
     silent: bool = False
     damage: float = 0.0
+    late_reads: int = 0  #: of a stream just opened, before anything comes
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
 
@@ -46,11 +47,15 @@ class FaultyStream(ModelStream):
     def __init__(self, model: CameraModel, size: int, faults: Faults) -> None:
         super().__init__(model, size)
         self._faults = faults
+        self._late_reads = faults.late_reads
 
     def read(self, timeout_s: float, /) -> bytes:
         faults = self._faults
         if not faults.plugged:
             raise DeviceGoneError("test rig: unplugged")
+        if self._late_reads:
+            self._late_reads -= 1
+            return b""
         data = super().read(min(timeout_s, 0.01))
         if data and faults.rng.random() < faults.damage:
             spoiled = bytearray(data)

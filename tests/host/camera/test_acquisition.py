@@ -97,8 +97,13 @@ def test_a_live_run_makes_way_and_comes_back(begin: Begin, rig: FaultyRig) -> No
     assert totals.exposed == totals.delivered == rig.model.sent.frames
 
 
-def test_unplugged_and_back(begin: Begin, rig: FaultyRig) -> None:
-    """The camera kept its power, so the number of frames lost is exact."""
+@pytest.mark.parametrize("late_reads", [0, 3])
+def test_unplugged_and_back(begin: Begin, rig: FaultyRig, late_reads: int) -> None:
+    """The camera kept its power, so the number of frames lost is exact.
+
+    What it had ready before the gap is lost too, even where it arrives when the next run is on.
+    """
+    rig.faults.late_reads = late_reads
     acquisition = begin(live=LIVE)
     until(lambda: acquisition.snapshot.totals.delivered > 100, "frames come")
     rig.faults.plugged = False

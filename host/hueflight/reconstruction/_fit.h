@@ -37,7 +37,9 @@ INLINE void settle(const Plan *plan, const Scratch *scratch, const float *totals
             for (int lane = 0; lane < some; lane++) {
                 Track *track = active[i + lane];
                 track->steps++;
-                if (!rules->settle || moved[lane] > rules->settled * sqrtf(track->variance))
+                int few = track->variance > rules->spread_ns * rules->spread_ns / rules->few;
+                if (!rules->settle || moved[lane] > rules->settled * sqrtf(track->variance)
+                    || (few && track->steps < rules->few_steps))
                     active[kept++] = track;
             }
         }

@@ -90,7 +90,7 @@ static void make_plan(const Py_buffer *held, Plan *plan)
                    .widths = held[C_WIDTHS].buf, .shares = held[C_SHARES].buf},
         .rules = {.shares = {x[6], x[7], x[8]}, .logs = {x[9], x[10], x[11]},
                   .steps = n[14], .nodes = n[15], .rounds = n[16], .rough = n[17],
-                  .settle = n[18], .posterior = n[19], .settled = x[12],
+                  .settle = n[18], .posterior = n[19], .few_steps = n[20], .settled = x[12],
                   .floor_photons = x[13], .floor_share = x[14], .ridge = x[15],
                   .margin = x[16], .ambiguous = x[17], .few = x[18], .spacing = x[19],
                   .spread_ns = x[20], .low_ns = x[21], .high_ns = x[22], .target_ns = x[23],

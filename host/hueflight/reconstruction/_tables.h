@@ -44,7 +44,7 @@ typedef struct {
 
 typedef struct {
     float shares[SHARES], logs[SHARES];
-    int steps, nodes, rounds;
+    int steps, few_steps, nodes, rounds;
     float settled, floor_photons, floor_share, ridge, margin, ambiguous, few, spacing;
     float spread_ns, low_ns, high_ns, target_ns, raster;
     int rough, settle, posterior;

@@ -5,7 +5,9 @@ Maximum likelihood for Poisson counts, in four steps:
 1. *Search*: the likelihood over whole lags, each band free to be dark or bright.
 2. *Scoring*: Fisher's method of scoring (weighted least squares with the model's own variances,
    Osborne, Int. Stat. Rev. 60, 1992), first at the bins of the search, then at the full
-   width, until the delay moves no more than a fraction of its standard deviation.
+   width, until the delay moves no more than a fraction of its standard deviation. With steps or
+   background in the weights too few, photons at the pulses' feet pass for background: up to a
+   tenth of a photon of each band.
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
 4. *Posterior*: where photons are few the likelihood is not a parabola; the delay and its
    deviation are then the mean and deviation of the likelihood on a few delays around its
@@ -27,13 +29,14 @@ from hueflight.reconstruction.plan import BACKGROUND_SHARES, Coarse, Level, Plan
 
 MOST_STEPS = 6  #: of scoring at the full bin width
 SETTLED = 0.5  #: a delay that moves by less than this share of its deviation has settled
-FLOOR_PHOTONS = 0.5  #: background below this is taken for it in the weights,
-FLOOR_SHARE = 0.003  #: or below this share of all counts
+FLOOR_PHOTONS = 2.0  #: in the weights background is taken for no less than this
+FLOOR_SHARE = 0.003  #: and this share of all counts together
 RIDGE = 1e-6  #: on the unit diagonal of the normal equations
 MARGIN = 6.0  #: log-likelihood by which a second delay may be worse and is still looked at
 RASTER = 0.07  #: and by this much per photon: a delay between two lags of the search loses that
 AMBIGUOUS = 3.0  #: log-likelihood by which the better delay must win (20 : 1)
 FEW_PHOTONS = 300.0  #: the posterior stage is for pixels that know no more than this many tell
+FEW_STEPS = 2  #: of scoring that those take at least: amplitudes settle later than the delay
 NODES = 11  #: delays on which the posterior is looked at,
 NODE_SPACING = 0.8  #: this many deviations apart
 LIKELIHOOD_ROUNDS = 6  #: of expectation maximisation before two likelihoods are compared
@@ -283,7 +286,9 @@ def _scored(
         steps[active] += 1
         if switches.settle:
             moved = np.abs(after.delay - before.delay)
-            active = active[moved > SETTLED * np.sqrt(after.covariance[:, -1, -1])]
+            variance = after.covariance[:, -1, -1]
+            few = (variance > plan.spread_ns**2 / FEW_PHOTONS) & (steps[active] < FEW_STEPS)
+            active = active[(moved > SETTLED * np.sqrt(variance)) | few]
     return state, steps
 
 

@@ -101,6 +101,7 @@ def rules(
         *(plan.coarse_factor, coarse.widths.size, coarse.lags_ns.size, coarse.separation),
         *(fit.MOST_STEPS, fit.NODES, fit.LIKELIHOOD_ROUNDS),
         *(switches.rough and rough is not fine, switches.settle, switches.posterior),
+        fit.FEW_STEPS,
     ]
     lag_ns = coarse.lags_ns[1] - coarse.lags_ns[0] if coarse.lags_ns.size > 1 else 1.0
     reals = [

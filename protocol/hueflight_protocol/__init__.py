@@ -1,6 +1,20 @@
 """The contract between camera, illuminator and host: packets, control messages, registers.
 
 The specification is ``docs/protocol.md``; what is declared here is its definition.
+
+>>> import numpy as np
+>>> codes = np.arange(16, dtype=np.uint16).reshape(2, 8)
+>>> packet = encode_frame(codes, sequence=0, frame=0, timestamp=0)
+>>> frame = decode_frame(packet)
+>>> frame.header.rows, frame.header.cols, bool((frame.codes == codes).all())
+(2, 8, True)
+
+A stream in pieces, damaged on the way:
+
+>>> parser = PacketParser()
+>>> found = parser.feed(b"noise" + packet[:70]) + parser.feed(packet[70:])
+>>> len(found), parser.report.frames, parser.report.skipped_bytes
+(1, 1, 5)
 """
 
 from .camera_map import camera_map

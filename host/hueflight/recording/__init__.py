@@ -1,4 +1,20 @@
-"""Recordings: the camera's packets exactly as received, in MCAP files that outlive a crash."""
+"""Recordings: the camera's packets exactly as received, in MCAP files that outlive a crash.
+
+>>> import tempfile
+>>> from pathlib import Path
+>>> import hueflight as hf
+>>> from hueflight import simulator
+>>> paper = hf.Instrument.load("paper")
+>>> with tempfile.TemporaryDirectory() as folder:
+...     path = Path(folder) / "scene.mcap"
+...     with RecordingWriter(path, paper) as writer:
+...         for packet in simulator.simulate_packets("reference", paper, frames=20):
+...             writer.write(packet)
+...     with open_recording(path) as recording:
+...         counts = recording.histogram(5, 15)  # frames 5 to 14
+>>> counts.shape, int(counts[0, 0].sum())
+((192, 128, 512), 10)
+"""
 
 from hueflight.recording.reader import Recording, RecordingInfo, open_recording
 from hueflight.recording.recover import Outcome, Recovery, recover

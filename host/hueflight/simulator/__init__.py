@@ -1,4 +1,11 @@
-"""The instrument, simulated: scenes, light budget, exact code probabilities, two samplers."""
+"""The instrument, simulated: scenes, light budget, exact code probabilities, two samplers.
+
+>>> import hueflight as hf
+>>> paper = hf.Instrument.load("paper")
+>>> counts = simulate_histogram(scene("fig1", paper), paper, frames=100, seed=1)
+>>> counts.shape, int(counts[0, 0].sum())  # every exposure gives one code, empty ones code 0
+((192, 128, 512), 100)
+"""
 
 from hueflight.simulator.captures import (
     CAPTURES,

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from hueflight_protocol import PacketParser
 
+STEP_BYTES = 4096  #: looked at in one go: the parser is slow, and the run most often begins at once
+
 
 class Beginning:
     """Holds a stream back until the first intact packet of a run.
@@ -32,14 +34,21 @@ class Beginning:
         """Take a piece of the stream; return what of it, and of earlier pieces, is the run's."""
         if self.found:
             return piece
-        self._pending += piece
-        for packet in self._parser.feed(piece):
-            if packet.content.header.capture == self._label:
-                self.found = True
-                own = bytes(self._pending[packet.offset - self._offset :])
+        for start in range(0, len(piece), STEP_BYTES):
+            self._look_at(piece[start : start + STEP_BYTES])
+            if self.found:
+                own = bytes(self._pending) + piece[start + STEP_BYTES :]
                 self._pending.clear()
                 return own
-        earlier = len(self._pending) - self._parser.pending_bytes
-        del self._pending[:earlier]
-        self._offset += earlier
         return b""
+
+    def _look_at(self, step: bytes) -> None:
+        """Keep what may be the run's, or the start of a packet."""
+        self._pending += step
+        packets = self._parser.feed(step)
+        starts = [each.offset for each in packets if each.content.header.capture == self._label]
+        self.found = bool(starts)
+        end = self._offset + len(self._pending)
+        wanted = starts[0] if starts else end - self._parser.pending_bytes
+        del self._pending[: wanted - self._offset]
+        self._offset = wanted

@@ -48,7 +48,9 @@ def played(name: str, rate_hz: float) -> Instrument:
 # -- the daemon's process ----------------------------------------------------------------------
 
 
-def serve(folder: Path, name: str, rate_hz: float, pictures_hz: float, drawn: int) -> None:
+def serve(
+    folder: Path, name: str, rate_hz: float, pictures_hz: float, drawn: int, change_sigma: float
+) -> None:
     """Run a daemon whose camera plays frames that were drawn beforehand."""
     from hueflight.daemon.config import DaemonConfig, ServerConfig
     from hueflight.daemon.logs import configure
@@ -95,7 +97,7 @@ def serve(folder: Path, name: str, rate_hz: float, pictures_hz: float, drawn: in
 
     configure(as_json=True)
     config = DaemonConfig(
-        data=str(folder / "data"), pictures_hz=pictures_hz,
+        data=str(folder / "data"), pictures_hz=pictures_hz, change_sigma=change_sigma,
         server=ServerConfig(port=0, requests_per_s=1000, burst=1000),
     )  # fmt: skip
     try:
@@ -168,7 +170,7 @@ def measure(arguments: argparse.Namespace, folder: Path) -> None:
     me = [
         sys.executable, __file__, "--serve", str(folder), "--instrument", arguments.instrument,
         "--rate", str(arguments.rate), "--pictures", str(arguments.pictures),
-        "--drawn", str(arguments.drawn),
+        "--drawn", str(arguments.drawn), "--change-sigma", str(arguments.change_sigma),
     ]  # fmt: skip
     with running(me, log) as daemon:
         line = until(lambda: _first_line(log, daemon), "the daemon listens")
@@ -275,6 +277,7 @@ def main() -> None:
     parser.add_argument("--instrument", default="paper", help="preset or TOML file")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--pictures", type=float, default=0.0, help="per second; 0: what suits")
+    parser.add_argument("--change-sigma", type=float, default=4.0, help="0: fit every pixel")
     parser.add_argument("--drawn", type=int, default=240, help="frames that are played in turn")
     parser.add_argument("--record", action="store_true", help="record meanwhile")
     parser.add_argument("--plot", type=Path)
@@ -283,7 +286,7 @@ def main() -> None:
     if arguments.serve:
         serve(
             arguments.serve, arguments.instrument, arguments.rate, arguments.pictures,
-            arguments.drawn,
+            arguments.drawn, arguments.change_sigma,
         )  # fmt: skip
         return
     with tempfile.TemporaryDirectory(prefix="hueflight-bench-") as folder:

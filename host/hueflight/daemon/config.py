@@ -126,6 +126,8 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         keeps up.
     pictures_hz : live pictures per second; 0 for what suits the frame rate.
     picture_frames : frames behind each; 0 for what suits the frame rate.
+    change_sigma : standard deviations by which a pixel must have changed to be fitted again;
+        0 fits all pixels of every picture.
     threads : that count photons.
     picture_threads : that reconstruct, at a lower priority; 0 for as many as there are cores.
     """
@@ -140,6 +142,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     method: str = ""
     pictures_hz: float = 0.0
     picture_frames: int = 0
+    change_sigma: float = 4.0
     threads: int = 1
     picture_threads: int = 0
     server: ServerConfig = ServerConfig()
@@ -152,6 +155,8 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             )
         if not 0 <= self.pictures_hz <= 1000:
             raise ConfigError(f"pictures_hz = {self.pictures_hz}: must be from 0 to 1000")
+        if not 0 <= self.change_sigma <= 100:
+            raise ConfigError(f"change_sigma = {self.change_sigma}: must be from 0 to 100")
         if self.picture_frames < 0 or self.picture_threads < 0 or self.threads < 1:
             raise ConfigError(
                 "picture_frames and picture_threads must be 0 or more, threads 1 or more"

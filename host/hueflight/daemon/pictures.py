@@ -20,7 +20,11 @@ from hueflight.errors import HueflightError
 from hueflight.ingest.table import Counts
 from hueflight.instrument import Instrument
 from hueflight.reconstruction.reconstruct import METHODS, reconstruct
+from hueflight.reconstruction.video import Video
 
+CHANGE_SIGMA = 4.0  #: see `Video`
+REFRESH_S = 10.0  #: then every pixel is fitted again: chance may have misled a fit that is kept
+GROWTH = 1.1  #: by so much more frames than behind the kept fits, all pixels are fitted again
 _WAIT_S = 0.5
 _NICENESS = 5
 
@@ -70,6 +74,8 @@ class Pictures:
     instrument : of the histograms.
     method : see `reconstruct`; empty for the best that is fast enough.
     window_blocks : each picture is of the sum of so many histograms, the newest ones.
+    change_sigma : of the joint method, pixels that have changed by less keep what was found of
+        them for up to `REFRESH_S`; 0 fits every pixel of every picture. See `Video`.
     threads : that share its pixels.
     on_picture : told of each picture, in the thread.
 
@@ -88,6 +94,7 @@ class Pictures:
         *,
         method: str = "",
         window_blocks: int = 1,
+        change_sigma: float = CHANGE_SIGMA,
         threads: int = 1,
         on_picture: Callable[[Picture], None],
     ) -> None:
@@ -101,6 +108,7 @@ class Pictures:
         self.problem = ""
         self._on_picture = on_picture
         self._threads = threads
+        self._film = Film(change_sigma=change_sigma, threads=threads)
         self._waiting: deque[LiveBlock] = deque()
         self._window = _Window(window_blocks)
         self._changed = threading.Condition()
@@ -145,7 +153,7 @@ class Pictures:
 
     def _make(self, live: LiveBlock, counts: Counts, frames: int, begun_s: float) -> None:
         block = live.block
-        image = self._reconstruct(counts, live.kind)
+        image = self._reconstruct(counts, live.kind, frames)
         first = int(self.instrument.sensor.reports_empty)
         photons = (
             image["photons"].values.astype(np.int64)
@@ -170,17 +178,44 @@ class Pictures:
         self.latest = picture
         self._on_picture(picture)
 
-    def _reconstruct(self, counts: Counts, kind: str) -> xr.Dataset | None:
+    def _reconstruct(self, counts: Counts, kind: str, frames: int) -> xr.Dataset | None:
         calibration = self.calibration
         if calibration is None or kind not in ("scene", "reference"):
             return None
         try:
-            image = reconstruct(counts, calibration, method=self.method, threads=self._threads)
+            if self.method == "joint":
+                image = self._film.next(counts, calibration, frames)
+            else:
+                image = reconstruct(counts, calibration, method=self.method, threads=self._threads)
         except HueflightError as error:
             self.problem = str(error)
             return None
         self.problem = ""
         return image
+
+
+class Film:
+    """The joint fit from picture to picture: what is still need not be fitted again each time."""
+
+    def __init__(self, *, change_sigma: float, threads: int) -> None:
+        self._change_sigma, self._threads = change_sigma, threads
+        self._video: Video | None = None
+        self._frames = 0
+        self._begun_s = 0.0
+
+    def next(self, counts: Counts, calibration: Calibration, frames: int) -> xr.Dataset:
+        """Image of the next histogram; every pixel is fitted where the kept fits know less."""
+        now = time.monotonic()
+        video = self._video
+        if (
+            video is None
+            or video.calibration is not calibration
+            or frames > GROWTH * self._frames
+            or now - self._begun_s > REFRESH_S
+        ):
+            video = Video(calibration, change_sigma=self._change_sigma, threads=self._threads)
+            self._video, self._frames, self._begun_s = video, frames, now
+        return video.next(counts)
 
 
 class _Window:

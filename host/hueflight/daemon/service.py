@@ -81,6 +81,7 @@ class Service:
             instrument,
             method=config.method,
             window_blocks=settings.window_blocks,
+            change_sigma=config.change_sigma,
             threads=config.picture_threads or os.cpu_count() or 1,
             on_picture=on_picture,
         )

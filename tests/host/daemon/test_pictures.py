@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +14,8 @@ import pytest
 import hueflight as hf
 from hueflight.capture.snapshot import LiveBlock
 from hueflight.daemon.delays import Latencies
-from hueflight.daemon.pictures import Picture, Pictures
+from hueflight.daemon.pictures import REFRESH_S, Film, Picture, Pictures
+from hueflight.reconstruction.quality import Quality
 
 WAIT_S = 20
 
@@ -90,3 +93,33 @@ def test_delays_and_their_parts() -> None:
     assert found == {
         "p50": 0.42, "p95": 0.43, "p99": 0.43, "waiting": 0.1, "making": 0.3, "showing": 0.02
     }  # fmt: skip
+
+
+def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
+    small: Callable[..., hf.Instrument], draw: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide = small(rows=24, cols=24)
+    calibration = hf.calibrate(draw(wide, photons=20_000), wide, distance=0.5)
+    film = Film(change_sigma=4.0, threads=1)
+
+    def skipped(frames: int, seed: int) -> float:
+        counts = draw(wide, depth=0.9, photons=1.3 * frames, frames=frames, seed=seed)
+        image = film.next(counts.astype(np.uint16), calibration, frames)
+        return float((image["quality"].values & int(Quality.SKIPPED) != 0).mean())
+
+    assert skipped(100, seed=1) == 0
+    assert skipped(400, seed=2) == 0  # four times the frames: nothing old is good enough
+    # 11 contrasts beyond 4 sigma: 7e-4 a pixel; 5 of 576 by chance in 1 run of 10 000
+    assert skipped(400, seed=3) > 0.99
+    assert skipped(300, seed=4) > 0.99
+    later = time.monotonic() + REFRESH_S + 1
+    monkeypatch.setattr("hueflight.daemon.pictures.time.monotonic", lambda: later)
+    assert skipped(400, seed=5) == 0
+    calibration = hf.calibrate(draw(wide, photons=20_000, seed=9), wide, distance=0.5)
+    assert skipped(400, seed=6) == 0
+    every = Film(change_sigma=0.0, threads=1)
+    for seed in (7, 8):
+        counts = draw(wide, depth=0.9, photons=500, frames=400, seed=seed)
+        image = every.next(counts.astype(np.uint16), calibration, 400)
+        expected = hf.reconstruct(counts.astype(np.uint16), calibration)
+        np.testing.assert_array_equal(image["depth"], expected["depth"])

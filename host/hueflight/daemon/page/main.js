@@ -176,7 +176,9 @@ function showPixel(facts) {
   const depth = facts.depth_m === null ? "no depth" : `${facts.depth_m.toFixed(4)} m`;
   const spread = facts.depth_std_m === null ? "" : ` ± ${(1e3 * facts.depth_std_m).toFixed(1)} mm`;
   $("pixel-depth").textContent = depth + spread;
-  const flags = facts.quality.length ? `; ${facts.quality.join(", ")}` : "";
+  // what a live picture skips has not changed since it was fitted
+  const words = facts.quality.map((flag) => (flag === "skipped" ? "unchanged" : flag));
+  const flags = words.length ? `; ${words.join(", ")}` : "";
   $("pixel-note").textContent = `${facts.photons.toLocaleString("en")} photons in ${facts.frames} frames${flags}`;
   drawHistogram($("histogram"), facts, bands);
   drawSpectrum($("spectrum"), facts, bands);

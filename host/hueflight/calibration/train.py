@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration.windows import PulseWindow
+from hueflight.errors import CalibrationError
 from hueflight.instrument import Instrument
 from hueflight.pulses import Pulse
 from hueflight.timebins import TimeBins
@@ -54,7 +55,18 @@ def fit_train(
     ----------
     counts : (bin,) in time order.
     windows : one for each pulse.
+
+    Raises
+    ------
+    CalibrationError
+        If counts are not known, for pixels that saw a photon in each of their exposures.
     """
+    if not np.isfinite(counts).all():
+        raise CalibrationError(
+            "some pixels of the reference hold a photon in every exposure: how many they lost "
+            "can't be known. Take more frames than that, all different, dim the LEDs or shorten "
+            "the exposure"
+        )
     start = _first_guess(counts, windows, instrument, bins)
     size = len(windows)
     scale = 1 / np.sqrt(np.maximum(counts, 1.0))

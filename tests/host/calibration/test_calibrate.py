@@ -183,3 +183,29 @@ class TestBadCaptures:
     def test_reference_of_another_shape(self, small, draw):
         with pytest.raises(HistogramError, match="transpose"):
             hf.calibrate(draw(small(rows=4)).transpose(2, 0, 1), small(rows=4), distance=0.5)
+
+
+@pytest.mark.parametrize("repeats", [1, 60])
+def test_a_pixel_lit_in_each_of_few_exposures_is_refused_in_words(small, draw, repeats):
+    instrument = small(rows=12, cols=12)
+    reference = draw(instrument, photons=40, frames=100)
+    full = reference[3, 4].copy()
+    full[0] = 0  # follows the pulses like any other, and was never empty
+    reference[3, 4] = full
+    with pytest.raises(CalibrationError, match=r"photon in every exposure.*Take more frames"):
+        hf.calibrate(reference * repeats, instrument, distance=0.5)
+
+
+def test_references_that_hold_next_to_nothing_are_refused_in_words(small, draw):
+    instrument = small(rows=8, cols=8)
+    one = draw(instrument, photons=0, frames=2000)
+    one[3, 4, 100] = 1
+    same = draw(instrument, photons=0, frames=2000)
+    same[..., 100] = 500
+    even = draw(instrument, photons=0, frames=20_000)
+    even[..., 1:499] = 7
+    for reference in (one, same, even):
+        with pytest.raises(CalibrationError, match=r"check that LED|Check that the LEDs"):
+            hf.calibrate(reference, instrument, distance=0.5)
+    with pytest.raises(HistogramError):
+        hf.calibrate(np.zeros_like(one), instrument, distance=0.5)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from amaranth.build import Platform
-from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance, Module, Signal
+from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Module, Signal
 from amaranth.lib.cdc import ResetSynchronizer
 
 from ..designs.camera import Camera, CameraConfig
@@ -11,7 +13,9 @@ from ..frame.format import FrameFormat
 from ..sensor.scene import default_scene
 from ..source import source_hash
 from .ecp5_clocks import AIM
+from .ecp5_pll import PllOutput, ecp5_pll
 from .pins import drive_pin, read_pin
+from .target import Target
 
 SYNC_HZ = 100e6
 _VCO_HZ = 600e6
@@ -54,40 +58,11 @@ class CameraClocks(Elaboratable):
         if self.clock_hz == SYNC_HZ:
             m.d.comb += [ClockSignal().eq(self.clock), ready.eq(1)]
         else:
-            m.submodules.pll = Instance(
-                "EHXPLLL",
-                a_FREQUENCY_PIN_CLKI=f"{self.clock_hz / 1e6:g}",
-                a_FREQUENCY_PIN_CLKOP=f"{SYNC_HZ / 1e6:g}",
-                a_ICP_CURRENT="12",
-                a_LPF_RESISTOR="8",
-                p_PLLRST_ENA="DISABLED",
-                p_INTFB_WAKE="DISABLED",
-                p_STDBY_ENABLE="DISABLED",
-                p_DPHASE_SOURCE="DISABLED",
-                p_OUTDIVIDER_MUXA="DIVA",
-                p_OUTDIVIDER_MUXB="DIVB",
-                p_OUTDIVIDER_MUXC="DIVC",
-                p_OUTDIVIDER_MUXD="DIVD",
-                p_CLKI_DIV=1,
-                p_CLKFB_DIV=round(SYNC_HZ / self.clock_hz),
-                p_FEEDBK_PATH="CLKOP",
-                p_CLKOP_ENABLE="ENABLED",
-                p_CLKOP_DIV=round(_VCO_HZ / SYNC_HZ),
-                p_CLKOP_CPHASE=0,
-                p_CLKOP_FPHASE=0,
-                i_RST=Const(0),
-                i_STDBY=Const(0),
-                i_CLKI=self.clock,
-                i_CLKFB=ClockSignal(),
-                i_PHASESEL0=Const(0),
-                i_PHASESEL1=Const(0),
-                i_PHASEDIR=Const(1),
-                i_PHASESTEP=Const(1),
-                i_PHASELOADREG=Const(1),
-                i_PLLWAKESYNC=Const(0),
-                i_ENCLKOP=Const(0),
-                o_CLKOP=ClockSignal(),
-                o_LOCK=ready,
+            m.submodules.pll = ecp5_pll(
+                PllOutput(self.clock, self.clock_hz),
+                PllOutput(ClockSignal(), SYNC_HZ),
+                vco_hz=_VCO_HZ,
+                locked=ready,
             )
         m.submodules.reset = ResetSynchronizer(~ready, domain="sync")
         return m
@@ -103,3 +78,36 @@ def add_camera(m: Module, config: CameraConfig, platform: Platform) -> Camera:
         camera.missed.eq(read_pin(m, platform, "missed")),
     ]
     return camera
+
+
+def camera_target(
+    board: str,
+    platform: Callable[[], Platform],
+    top: Callable[[int | None], Elaboratable],
+    /,
+    *,
+    lanes: int | None,
+    link_mhz: dict[str, float],
+) -> Target:
+    """Return the camera on an ECP5 board.
+
+    Parameters
+    ----------
+    board : str
+    platform : callable
+    top : callable
+        From the lanes that are asked for, or None.
+    lanes : int, optional
+    link_mhz : dict of str to float
+        The clocks of its link, and what they run at.
+    """
+    return Target(
+        design="camera",
+        board=board,
+        platform=platform,
+        top=lambda: top(lanes),
+        clocks_mhz={"sync": SYNC_HZ / 1e6, **link_mhz},
+        lanes=camera_config(lanes).form.lanes,
+        family="ecp5",
+        options=FAST_ROUTES,
+    )

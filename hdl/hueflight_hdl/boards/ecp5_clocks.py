@@ -17,6 +17,8 @@ from amaranth.hdl import (
     Value,
 )
 
+from .ecp5_pll import PllOutput, ecp5_pll
+
 EDGE_HZ = 400e6
 PULSE_HZ = EDGE_HZ / 2
 SYNC_HZ = 50e6
@@ -57,46 +59,12 @@ class Ecp5Clocks(Elaboratable):
         fast = Signal()
         slow = Signal()
         locked = Signal()
-        m.submodules.pll = Instance(
-            "EHXPLLL",
-            a_FREQUENCY_PIN_CLKI=f"{self.clock_hz / 1e6:g}",
-            a_FREQUENCY_PIN_CLKOP=f"{EDGE_HZ / 1e6:g}",
-            a_FREQUENCY_PIN_CLKOS=f"{SYNC_HZ / 1e6:g}",
-            a_ICP_CURRENT="12",
-            a_LPF_RESISTOR="8",
-            p_PLLRST_ENA="DISABLED",
-            p_INTFB_WAKE="DISABLED",
-            p_STDBY_ENABLE="DISABLED",
-            p_DPHASE_SOURCE="DISABLED",
-            p_OUTDIVIDER_MUXA="DIVA",
-            p_OUTDIVIDER_MUXB="DIVB",
-            p_OUTDIVIDER_MUXC="DIVC",
-            p_OUTDIVIDER_MUXD="DIVD",
-            p_CLKI_DIV=1,
-            p_CLKFB_DIV=round(EDGE_HZ / self.clock_hz),
-            p_FEEDBK_PATH="CLKOP",
-            p_CLKOP_ENABLE="ENABLED",
-            p_CLKOP_DIV=round(_VCO_HZ / EDGE_HZ),
-            p_CLKOP_CPHASE=0,
-            p_CLKOP_FPHASE=0,
-            p_CLKOS_ENABLE="ENABLED",
-            p_CLKOS_DIV=round(_VCO_HZ / SYNC_HZ),
-            p_CLKOS_CPHASE=0,
-            p_CLKOS_FPHASE=0,
-            i_RST=Const(0),
-            i_STDBY=Const(0),
-            i_CLKI=self.clock,
-            i_CLKFB=fast,
-            i_PHASESEL0=Const(0),
-            i_PHASESEL1=Const(0),
-            i_PHASEDIR=Const(1),
-            i_PHASESTEP=Const(1),
-            i_PHASELOADREG=Const(1),
-            i_PLLWAKESYNC=Const(0),
-            i_ENCLKOP=Const(0),
-            o_CLKOP=fast,
-            o_CLKOS=slow,
-            o_LOCK=locked,
+        m.submodules.pll = ecp5_pll(
+            PllOutput(self.clock, self.clock_hz),
+            PllOutput(fast, EDGE_HZ),
+            PllOutput(slow, SYNC_HZ),
+            vco_hz=_VCO_HZ,
+            locked=locked,
         )
         m.submodules.edge = Instance(
             "ECLKSYNCB", i_ECLKI=fast, i_STOP=~locked, o_ECLKO=ClockSignal("edge")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from amaranth.build import Platform
 from amaranth.hdl import Elaboratable, Module
 from amaranth.lib import io
@@ -13,6 +15,7 @@ from ..source import source_hash
 from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
 from .illuminator_pins import add_from_platform
 from .pins import drive
+from .target import Target
 
 FAST_ROUTES = {
     # keeps yosys from merging equal registers of channels into nets that span the device
@@ -64,3 +67,18 @@ class Ecp5Illuminator(Elaboratable):
         lamp = platform.request(*self.armed, dir="-")
         drive(m, "armed", lamp.r if self.armed[0] == "rgb_led" else lamp, illuminator.armed)
         return m
+
+
+def illuminator_target(
+    board: str, platform: Callable[[], Platform], /, *, armed: tuple[str, int]
+) -> Target:
+    """Return the illuminator on an ECP5 board; `armed` is as `Ecp5Illuminator` has it."""
+    return Target(
+        design="illuminator",
+        board=board,
+        platform=platform,
+        top=lambda: Ecp5Illuminator(armed=armed),
+        clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
+        family="ecp5",
+        options=FAST_ROUTES,
+    )

@@ -12,11 +12,9 @@ from amaranth.lib.wiring import connect
 from amaranth_boards.ecpix5 import ECPIX585Platform
 
 from ..link.usb import UsbLink
-from .ecp5_camera import FAST_ROUTES as CAMERA_ROUTES
-from .ecp5_camera import SYNC_HZ as CAMERA_HZ
-from .ecp5_camera import CameraClocks, add_camera, camera_config
-from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
-from .ecp5_illuminator import FAST_ROUTES, Ecp5Illuminator
+from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_config, camera_target
+from .ecp5_clocks import AIM
+from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
 from .target import Options, Target
 
@@ -29,6 +27,7 @@ _ILLUMINATOR = [
     Resource("trigger", 0, Pins("7", dir="i", conn=("pmod", 1)), _PLAIN),
     Resource("trigger_out", 0, Pins("8", dir="o", conn=("pmod", 1)), _FAST),
     Resource("frame_sync", 0, Pins("9", dir="i", conn=("pmod", 1)), _PLAIN),
+    Resource("missed", 0, Pins("10", dir="o", conn=("pmod", 1)), _PLAIN),
     Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="o", conn=("pmod", 2)), _PLAIN),
 ]
 _CAMERA = [
@@ -38,7 +37,7 @@ _CAMERA = [
     Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="i", conn=("pmod", 2)), _PLAIN),
 ]
 USB_HZ = 60e6
-_PHY_CLOCKS = round(1e-3 * CAMERA_HZ)
+_PHY_CLOCKS = round(1e-3 * SYNC_HZ)
 """A millisecond of reset for the transceiver, and another until it is used."""
 
 
@@ -50,15 +49,7 @@ def _platform(resources: list[Resource]) -> Platform:
 
 def illuminator(options: Options) -> Target:
     """Return the illuminator on this board."""
-    return Target(
-        design="illuminator",
-        board="ecpix5-85f",
-        platform=lambda: _platform(_ILLUMINATOR),
-        top=lambda: Ecp5Illuminator(armed=("rgb_led", 0)),
-        clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
-        family="ecp5",
-        options=FAST_ROUTES,
-    )
+    return illuminator_target("ecpix5-85f", lambda: _platform(_ILLUMINATOR), armed=("rgb_led", 0))
 
 
 class _UsbClock(Elaboratable):
@@ -122,13 +113,10 @@ class UsbCamera(Elaboratable):
 
 def camera(options: Options) -> Target:
     """Return the camera on this board."""
-    return Target(
-        design="camera",
-        board="ecpix5-85f",
-        platform=lambda: _platform(_CAMERA),
-        top=lambda: UsbCamera(options.lanes),
-        clocks_mhz={"sync": CAMERA_HZ / 1e6, "usb": USB_HZ / 1e6},
-        lanes=camera_config(options.lanes).form.lanes,
-        family="ecp5",
-        options=CAMERA_ROUTES,
+    return camera_target(
+        "ecpix5-85f",
+        lambda: _platform(_CAMERA),
+        UsbCamera,
+        lanes=options.lanes,
+        link_mhz={"usb": USB_HZ / 1e6},
     )

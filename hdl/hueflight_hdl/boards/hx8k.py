@@ -28,6 +28,7 @@ _RESOURCES = [
     Resource("trigger_out", 0, Pins("J14", dir="o"), _PLAIN),
     Resource("frame_sync", 0, Pins("G14", dir="i"), _PLAIN),
     Resource("marker", 0, Pins("F14 J15 H14 H16 G15 G16 F15 F16", dir="o"), _PLAIN),
+    Resource("missed", 0, Pins("E14", dir="o"), _PLAIN),
 ]
 
 

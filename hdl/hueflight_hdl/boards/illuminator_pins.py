@@ -53,7 +53,8 @@ def add_from_platform(
         illuminator.frame_sync.eq(read_pin(m, platform, "frame_sync")),
     ]
     drive(m, "tx", uart.tx, illuminator.tx)
-    drive_pin(m, platform, "marker", illuminator.marker)
+    for name in ("marker", "missed"):
+        drive_pin(m, platform, name, getattr(illuminator, name))
     return illuminator
 
 
@@ -80,6 +81,7 @@ class IlluminatorTwin(wiring.Component):
                 "levels": Out(data.ArrayLayout(lanes, channels)),
                 "trigger_out": Out(lanes),
                 "marker": Out(8),
+                "missed": Out(1),
                 "armed": Out(1),
             }
         )
@@ -95,6 +97,7 @@ class IlluminatorTwin(wiring.Component):
             self.tx.eq(illuminator.tx),
             *(self.levels[channel].eq(level) for channel, level in enumerate(levels)),
             self.marker.eq(illuminator.marker),
+            self.missed.eq(illuminator.missed),
             self.armed.eq(illuminator.armed),
         ]
         return m

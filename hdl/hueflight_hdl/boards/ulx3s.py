@@ -10,11 +10,9 @@ from amaranth_boards.ulx3s import ULX3S_85F_Platform
 
 from ..link.ft601 import Ft601Link
 from ..link.serial import SerialLink
-from .ecp5_camera import FAST_ROUTES as CAMERA_ROUTES
-from .ecp5_camera import SYNC_HZ as CAMERA_HZ
-from .ecp5_camera import CameraClocks, add_camera, camera_config
-from .ecp5_clocks import AIM, PULSE_HZ, SYNC_HZ
-from .ecp5_illuminator import FAST_ROUTES, Ecp5Illuminator
+from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_config, camera_target
+from .ecp5_clocks import AIM
+from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
 from .target import Options, Target
 
@@ -32,6 +30,7 @@ _ILLUMINATOR = [
     Resource("trigger_out", 0, Pins("21+", dir="o", conn=("gpio", 0)), _FAST),
     Resource("frame_sync", 0, Pins("0+", dir="i", conn=("gpio", 0)), _PLAIN),
     Resource("marker", 0, Pins("1+ 1- 2+ 2- 3+ 3- 4+ 4-", dir="o", conn=("gpio", 0)), _PLAIN),
+    Resource("missed", 0, Pins("5+", dir="o", conn=("gpio", 0)), _PLAIN),
 ]
 _CAMERA = [
     Resource(
@@ -72,15 +71,7 @@ def _platform(resources: list[Resource]) -> Platform:
 
 def illuminator(options: Options) -> Target:
     """Return the illuminator on this board."""
-    return Target(
-        design="illuminator",
-        board="ulx3s-85f",
-        platform=lambda: _platform(_ILLUMINATOR),
-        top=lambda: Ecp5Illuminator(armed=("led", 0)),
-        clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
-        family="ecp5",
-        options=FAST_ROUTES,
-    )
+    return illuminator_target("ulx3s-85f", lambda: _platform(_ILLUMINATOR), armed=("led", 0))
 
 
 class Ft601Camera(Elaboratable):
@@ -101,7 +92,7 @@ class Ft601Camera(Elaboratable):
         m.domains.ft = ft = ClockDomain(reset_less=True)
         platform.add_clock_constraint(ft.clk, FT_HZ * AIM)
         m.submodules.link = link = Ft601Link()
-        m.submodules.serial = serial = SerialLink(clock_hz=CAMERA_HZ, baud=_BAUD)
+        m.submodules.serial = serial = SerialLink(clock_hz=SYNC_HZ, baud=_BAUD)
         m.submodules.ft_clock = Instance(
             "DCCA", i_CLKI=input_of(m, "clk", pins.clk), i_CE=Const(1), o_CLKO=ClockSignal("ft")
         )
@@ -125,13 +116,10 @@ class Ft601Camera(Elaboratable):
 
 def camera(options: Options) -> Target:
     """Return the camera on this board."""
-    return Target(
-        design="camera",
-        board="ulx3s-85f",
-        platform=lambda: _platform(_CAMERA),
-        top=lambda: Ft601Camera(options.lanes),
-        clocks_mhz={"sync": CAMERA_HZ / 1e6, "ft": FT_HZ / 1e6},
-        lanes=camera_config(options.lanes).form.lanes,
-        family="ecp5",
-        options=CAMERA_ROUTES,
+    return camera_target(
+        "ulx3s-85f",
+        lambda: _platform(_CAMERA),
+        Ft601Camera,
+        lanes=options.lanes,
+        link_mhz={"ft": FT_HZ / 1e6},
     )

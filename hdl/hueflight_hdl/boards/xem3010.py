@@ -32,6 +32,7 @@ WIRED = {
     "armed": 1,
     "led_pulse": 9,
     "marker": 8,
+    "missed": 1,
 }
 """Pins that the builder names, and how many each."""
 
@@ -110,7 +111,7 @@ class _Top(Elaboratable):
             illuminator.rx.eq(read_pin(m, platform, "rx")),
             illuminator.frame_sync.eq(read_pin(m, platform, "frame_sync")),
         ]
-        for name in ("tx", "marker", "armed"):
+        for name in ("tx", "marker", "missed", "armed"):
             drive_pin(m, platform, name, getattr(illuminator, name))
         return m
 

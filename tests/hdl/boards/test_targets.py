@@ -72,8 +72,9 @@ def test_every_pin_is_placed_once(tmp_path, design, board, constraints):
     pattern = r'SITE "(\w+)"' if constraints == "lpf" else r"set_io \S+ (\w+)"
     pins = re.findall(pattern, text)
     assert len(pins) == len(set(pins))
-    # nine LEDs, trigger in and out, frame sync, eight markers, serial line, clock, lamp
-    assert len(pins) >= 9 + 2 + 1 + 8 + 2 + 1 + 1
+    # nine LEDs, trigger in and out, frame sync, eight markers, missed, serial line, clock, lamp
+    assert len(pins) >= 9 + 2 + 1 + 8 + 1 + 2 + 1 + 1
+    assert "missed" in text
 
 
 @pytest.mark.slow

@@ -85,7 +85,7 @@ def test_projects_of_the_paper_s_boards(builder, tmp_path, capsys):
     assert "module top" in (folder / "top.v").read_text()
 
 
-_SINGLE = ("clock", "rx", "tx", "trigger", "trigger_out", "frame_sync", "armed")
+_SINGLE = ("clock", "rx", "tx", "trigger", "trigger_out", "frame_sync", "missed", "armed")
 
 
 def test_proofs_are_listed_and_one_is_proved(prover, capsys):

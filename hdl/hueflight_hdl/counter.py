@@ -7,6 +7,11 @@ from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
 
+def counter_members(width: int, /) -> dict[str, wiring.Member]:
+    """Return what every counter here has."""
+    return {"event": In(1), "clear": In(1), "value": Out(width), "saturated": Out(1)}
+
+
 class SaturatingCounter(wiring.Component):
     """Counts events; a carry out of the top is kept, and holds the value at all ones.
 
@@ -22,14 +27,7 @@ class SaturatingCounter(wiring.Component):
     def __init__(self, width: int = 32, *, domain: str = "sync") -> None:
         self.width = width
         self.domain = domain
-        super().__init__(
-            {
-                "event": In(1),
-                "clear": In(1),
-                "value": Out(width),
-                "saturated": Out(1),
-            }
-        )
+        super().__init__(counter_members(width))
 
     def elaborate(self, platform: object) -> Module:
         m = Module()

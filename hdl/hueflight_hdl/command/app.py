@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
 
 from cyclopts import App
@@ -26,6 +27,7 @@ app = App(
     version=version("hueflight"),
     help_format="markdown",
 )
+_COMMANDS = ("build", "prove", "simulate", "verilog")
 errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 
@@ -35,8 +37,8 @@ def main(words: Sequence[str] | None = None) -> None:
     `words` are what was typed after the program's name; by default the real ones.
     """
     try:
-        # importing them registers their commands
-        from . import build, prove, simulate, verilog  # noqa: F401
+        for name in _COMMANDS:
+            import_module(f".{name}", __package__)  # which registers it with `app`
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("amaranth", "amaranth_boards", "luna"):
             raise

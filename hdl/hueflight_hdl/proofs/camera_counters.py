@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from amaranth.hdl import Assert, Module, Signal
-from amaranth.lib import wiring
-from amaranth.lib.wiring import In
 
 from ..frame.counters import EVENT_COUNTERS, CaptureCounters
+from .harness import FreeHarness
 
 LIMIT_64 = (1 << 64) - (1 << 32)
 
 
-class CountersHarness(wiring.Component):
+class CountersHarness(FreeHarness):
     """Counters with free inputs; 64-bit ones are not looked at where millennia have passed."""
 
     def __init__(self) -> None:
         self.counters = CaptureCounters()
-        inputs = {
-            path[0]: In(member.shape)
-            for path, member, _ in self.counters.signature.flatten(self.counters)
-            if member.flow is In
-        }
-        super().__init__(inputs)
+        super().__init__(self.counters)
 
-    def elaborate(self, platform: object) -> Module:
-        m = Module()
-        m.submodules.counters = counters = self.counters
-        for name in self.signature.members:
-            m.d.comb += getattr(counters, name).eq(getattr(self, name))
+    def state(self, m: Module) -> None:
+        """Compare with the clock before."""
+        counters = self.counters
         told = counters.counters
         narrow = [told[name] for name in (*EVENT_COUNTERS, "buffer_peak")]
         wide = [told.frames_sent, counters.hits_sent, counters.periods]
@@ -43,4 +35,3 @@ class CountersHarness(wiring.Component):
                 m.d.comb += Assert(grows)
             with m.If(seen & began):
                 m.d.comb += Assert(value <= 1)
-        return m

@@ -9,28 +9,20 @@ from amaranth.lib.wiring import In
 from ..pulse.config import MIN_SPACING, PERIOD_BITS, Limits, PulseConfig
 from ..pulse.slot import PulseSlot
 from ..pulse.train import Train
+from .harness import FreeHarness
 
 
-class TrainHarness(wiring.Component):
+class TrainHarness(FreeHarness):
     """Trains with any triggers, periods, and wishes for bank, mask and marker in every clock."""
 
     def __init__(self) -> None:
         self.config = PulseConfig(channels=2)
         self.train = Train(self.config)
-        super().__init__(
-            {
-                name: In(member.shape)
-                for name, member in self.train.signature.members.items()
-                if member.flow is In
-            }
-        )
+        super().__init__(self.train)
 
-    def elaborate(self, platform: object) -> Module:
-        m = Module()
+    def state(self, m: Module) -> None:
+        """Compare each train with the one before."""
         train = self.train
-        m.submodules.train = DomainRenamer({"pulse": "sync"})(train)
-        for name in self.signature.members:
-            m.d.comb += getattr(train, name).eq(getattr(self, name))
         # periods are at rest
         begun = Signal()
         periods = Signal.like(self.periods)
@@ -66,7 +58,6 @@ class TrainHarness(wiring.Component):
             m.d.comb += Assert(length >= MIN_SPACING)
             with m.If(~train.busy):
                 m.d.comb += Assert(age >= length - 1)
-        return m
 
 
 class OtherBankHarness(wiring.Component):

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Assert, DomainRenamer, Module, Mux, Signal
-from amaranth.lib import wiring
-from amaranth.lib.wiring import In
+from amaranth.hdl import Assert, Module, Mux, Signal
 
 from ..pulse.config import Limits
 from ..pulse.limiter import OutputLimiter
+from .harness import FreeHarness
 
 
-class LimiterHarness(wiring.Component):
+class LimiterHarness(FreeHarness):
     """The last gate before an LED, with any demand in every tick: more than registers can ask.
 
     Parameters
@@ -22,20 +21,7 @@ class LimiterHarness(wiring.Component):
     def __init__(self, limits: Limits, *, lanes: int) -> None:
         self.limits = limits
         self.limiter = OutputLimiter(limits, lanes=lanes)
-        super().__init__({"demand": In(lanes), "allow": In(1)})
-
-    def elaborate(self, platform: object) -> Module:
-        m = Module()
-        m.submodules.limiter = DomainRenamer({"pulse": "sync"})(self.limiter)
-        m.d.comb += [
-            self.limiter.demand.eq(self.demand),
-            self.limiter.allow.eq(self.allow),
-        ]
-        self.state(m)
-        return m
-
-    def state(self, m: Module) -> None:
-        """Add assertions."""
+        super().__init__(self.limiter)
 
 
 class OnTimeHarness(LimiterHarness):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Assert, DomainRenamer, Module, Mux, Signal
+from amaranth.hdl import Assert, Module, Mux, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 
@@ -11,29 +11,21 @@ from hueflight_protocol.illuminator_map import ARM_KEY
 from ..pulse.config import PulseConfig
 from ..pulse.generator import PulseGenerator
 from ..safety import Safety
+from .harness import FreeHarness
 
 CLOCKS_PER_MS = 3
 
 
-class DarkHarness(wiring.Component):
+class DarkHarness(FreeHarness):
     """A pulse generator whose settings, triggers, program and arming do anything."""
 
     def __init__(self) -> None:
         self.generator = PulseGenerator(PulseConfig(channels=2, pulses=1, steps=2))
-        super().__init__(
-            {
-                name: In(member.shape)
-                for name, member in self.generator.signature.members.items()
-                if member.flow is In
-            }
-        )
+        super().__init__(self.generator)
 
-    def elaborate(self, platform: object) -> Module:
-        m = Module()
+    def state(self, m: Module) -> None:
+        """Compare the levels with how it was armed."""
         generator = self.generator
-        m.submodules.generator = DomainRenamer({"pulse": "sync"})(generator)
-        for name in self.signature.members:
-            m.d.comb += getattr(generator, name).eq(getattr(self, name))
         armed = self.armed
         for clock in range(PulseGenerator.armed_latency):
             before = Signal(name=f"armed_before{clock}")
@@ -42,7 +34,6 @@ class DarkHarness(wiring.Component):
         with m.If(~armed):
             m.d.comb += Assert(generator.levels.as_value() == 0)
         m.d.comb += Assert(generator.lit == armed)
-        return m
 
 
 class WatchdogHarness(wiring.Component):

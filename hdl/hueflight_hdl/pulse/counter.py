@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import wiring
-from amaranth.lib.wiring import In, Out
+
+from ..counter import counter_members
 
 
 class FastCounter(wiring.Component):
@@ -28,14 +29,7 @@ class FastCounter(wiring.Component):
 
     def __init__(self, width: int = 32) -> None:
         self.width = width
-        super().__init__(
-            {
-                "event": In(1),
-                "clear": In(1),
-                "value": Out(width),
-                "saturated": Out(1),
-            }
-        )
+        super().__init__(counter_members(width))
 
     def elaborate(self, platform: object) -> Module:
         m = Module()

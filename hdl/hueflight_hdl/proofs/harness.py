@@ -1,0 +1,35 @@
+"""A component to be proved, with nothing known of its inputs."""
+
+from __future__ import annotations
+
+from amaranth.hdl import DomainRenamer, Module
+from amaranth.lib import wiring
+from amaranth.lib.wiring import In
+
+
+class FreeHarness(wiring.Component):
+    """A component whose inputs do anything; all of it is in one clock domain.
+
+    Parameters
+    ----------
+    component : wiring.Component
+        Its inputs become those of the harness.
+    """
+
+    def __init__(self, component: wiring.Component) -> None:
+        self.component = component
+        members = component.signature.members
+        super().__init__(
+            {name: In(member.shape) for name, member in members.items() if member.flow is In}
+        )
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        m.submodules.component = DomainRenamer({"pulse": "sync"})(self.component)
+        for name in self.signature.members:
+            m.d.comb += getattr(self.component, name).eq(getattr(self, name))
+        self.state(m)
+        return m
+
+    def state(self, m: Module) -> None:
+        """Add assertions."""

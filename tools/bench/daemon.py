@@ -1,6 +1,8 @@
 """The daemon at the pace of a camera: frames lost, memory, CPU by stage, delay to the browser.
 
-    python tools/bench/daemon.py --rate 18600 --seconds 60 --record --plot run.svg
+    python tools/bench/daemon.py                                        # the delay
+    python tools/bench/daemon.py --rate 18600 --occupancy 0.3 --seconds 600 --record --search \
+        --docs run                                                      # the long run
 
 A camera model with simulated photons of the paper's scene plays frames in real time within the
 daemon's process; its own share of CPU is measured and stated. Headless Chromium shows the page.
@@ -25,11 +27,18 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from _measure import table
+import numpy as np
+from _daemon_report import into_documentation, plot, tables, thinned
 
+from hueflight.ingest import accumulate
 from hueflight.instrument import Instrument
 
 PATIENCE_S = 180.0
+SETTLE_S = 8.0  #: before a measurement: the browser's first pictures are slow
+TRIAL_S = 20.0
+SLOWER = 0.85  #: of the rate, when frames were lost
+LEAST = 0.1  #: of the rate asked for: no slower trials
+TOLD_S = 0.5  #: how often the emulated camera tells what it has taken
 BROWSER = [
     "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
     "--disable-dev-shm-usage", "--disable-quic", "--no-first-run", "--disable-sync",
@@ -48,9 +57,22 @@ def played(name: str, rate_hz: float) -> Instrument:
 # -- the daemon's process ----------------------------------------------------------------------
 
 
-def serve(
-    folder: Path, name: str, rate_hz: float, pictures_hz: float, drawn: int, change_sigma: float
-) -> None:
+def brightened(instrument: Instrument, occupancy: float) -> Instrument:
+    """An instrument whose exposures are as long as the scene needs for a mean occupancy."""
+    from hueflight.devices.frame_bank import simulated_packets
+
+    for _ in range(3):  # pixels differ in brightness, so the law of the mean is not exact
+        packets = simulated_packets("scene", instrument.to_json(), "fig1", 0.4, 8, 1)
+        counts, _ = accumulate(b"".join(packets), instrument)
+        seen = counts[..., 1:].sum() / counts.sum()
+        factor = np.log1p(-occupancy) / np.log1p(-seen)
+        exposure_ms = (instrument.sensor.exposure_ms or 1.0) * float(factor)
+        sensor = msgspec.structs.replace(instrument.sensor, exposure_ms=exposure_ms)
+        instrument = instrument.replace(sensor=sensor)
+    return instrument
+
+
+def serve(arguments: argparse.Namespace) -> None:
     """Run a daemon whose camera plays frames that were drawn beforehand."""
     from hueflight.daemon.config import DaemonConfig, ServerConfig
     from hueflight.daemon.logs import configure
@@ -60,21 +82,28 @@ def serve(
     from hueflight.devices.lights import CaptureKind
     from hueflight.devices.model_ports import ModelStream, ModelTransport
 
-    text = Instrument.load(name).to_json()
+    folder: Path = arguments.serve
+    drawing = Instrument.load(arguments.instrument)
+    if arguments.occupancy:
+        drawing = brightened(drawing, arguments.occupancy)
     banks = {
-        kind: FrameBank(simulated_packets(kind, text, "fig1", 0.4, drawn, 1))
+        kind: FrameBank(simulated_packets(kind, drawing.to_json(), "fig1", 0.4, arguments.drawn, 1))
         for kind in ("scene", "reference")
     }
-    instrument = played(name, rate_hz)
+    instrument = played(arguments.instrument, arguments.rate)
     model = CameraModel(instrument.sensor, banks["scene"])
-    emulated = 0.0
+    emulated = told = 0.0
 
     class TimedStream(ModelStream):
         def read(self, timeout_s: float, /) -> bytes:
-            nonlocal emulated
+            nonlocal emulated, told
             before = time.thread_time()
             data = super().read(timeout_s)
             emulated += time.thread_time() - before
+            if time.monotonic() - told > TOLD_S:
+                told = time.monotonic()
+                (folder / "emulated.new").write_text(str(emulated))
+                (folder / "emulated.new").replace(folder / "emulated")
             return data
 
     class Targets:
@@ -97,13 +126,11 @@ def serve(
 
     configure(as_json=True)
     config = DaemonConfig(
-        data=str(folder / "data"), pictures_hz=pictures_hz, change_sigma=change_sigma,
+        data=str(folder / "data"), pictures_hz=arguments.pictures,
+        change_sigma=arguments.change_sigma,
         server=ServerConfig(port=0, requests_per_s=1000, burst=1000),
     )  # fmt: skip
-    try:
-        run(config, connect, instrument)
-    finally:
-        (folder / "emulated").write_text(str(emulated))
+    run(config, connect, instrument)
 
 
 # -- who looks at it ---------------------------------------------------------------------------
@@ -146,13 +173,49 @@ def ask(url: str, body: object = None) -> bytes:
         return answer.read()
 
 
-def cpu_s(url: str) -> dict[str, float]:
-    """CPU seconds of the daemon's threads."""
-    found = re.findall(
-        r'^hueflight_thread_cpu_seconds_total\{thread="([^"]+)"\} (\S+)',
-        ask(url + "/metrics").decode(), re.M,
-    )  # fmt: skip
-    return {name: float(value) for name, value in found}
+def process_cpu_s(process: int) -> float:
+    """CPU seconds of a process, ended threads included."""
+    used = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(used[11]) + int(used[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def session_cpu_s(session: int) -> float:
+    """CPU seconds of the processes of a session."""
+    total = 0.0
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError, ProcessLookupError):  # it has just ended
+            if os.getsid(int(entry.name)) == session:
+                total += process_cpu_s(int(entry.name))
+    return total
+
+
+class Stages:
+    """CPU seconds by stage of a daemon and of a browser that looks at it."""
+
+    def __init__(self, url: str, folder: Path, daemon: int, browser: int) -> None:
+        self._url, self._folder, self._daemon, self._browser = url, folder, daemon, browser
+        self._recorder = self._recorder_before = 0.0
+
+    def __call__(self) -> dict[str, float]:
+        """As they stand."""
+        text = ask(self._url + "/metrics").decode()
+        pattern = r'^hueflight_thread_cpu_seconds_total\{thread="([^"]+)"\} (\S+)'
+        found = {name: float(value) for name, value in re.findall(pattern, text, re.M)}
+        # each recording has a thread of its own, whose time is gone when it ends
+        recorder = found.get("recorder", 0.0)
+        self._recorder += max(0.0, recorder - self._recorder_before)
+        self._recorder_before = recorder
+        emulated = float((self._folder / "emulated").read_text())
+        named = found["acquisition"] + self._recorder + found["MainThread"]
+        return {
+            "emulated camera": emulated,
+            "checking and counting": found["acquisition"] - emulated,
+            "recording": self._recorder,
+            # threads that help with a picture live as long as it takes: they are what is left
+            "pictures": process_cpu_s(self._daemon) - named,
+            "serving": found["MainThread"],
+            "browser": session_cpu_s(self._browser),
+        }
 
 
 def resident_mb(process: int) -> float:
@@ -161,50 +224,114 @@ def resident_mb(process: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def measure(arguments: argparse.Namespace, folder: Path) -> None:
-    """Run the daemon and a browser, and print what came of it."""
+def measure(arguments: argparse.Namespace, rate_hz: float, seconds: float) -> dict[str, Any]:
+    """Run the daemon and a browser; what came of it."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise SystemExit("this benchmark needs the Debian package chromium")
-    log = folder / "daemon.log"
-    me = [
-        sys.executable, __file__, "--serve", str(folder), "--instrument", arguments.instrument,
-        "--rate", str(arguments.rate), "--pictures", str(arguments.pictures),
-        "--drawn", str(arguments.drawn), "--change-sigma", str(arguments.change_sigma),
-    ]  # fmt: skip
-    with running(me, log) as daemon:
-        line = until(lambda: _first_line(log, daemon), "the daemon listens")
-        url = json.loads(line)["url"].rstrip("/")
-        status: Callable[[], Any] = lambda: json.loads(ask(url + "/api/status"))  # noqa: E731
-        until(lambda: status()["totals"]["delivered"] > 100, "frames come")
-        ask(url + "/api/calibration", {"distance": 0.4, "frames": 2000, "bands": False,
-                                       "dark": False})  # fmt: skip
-        until(lambda: status()["calibration"]["step"] in ("done", "failed"), "it is calibrated")
-        calibration = status()["calibration"]
-        if calibration["step"] == "failed":
-            raise SystemExit(f"no calibration: {calibration['message']}")
-        page = [chromium, *BROWSER, f"--user-data-dir={folder / 'profile'}", url]
-        with running(page, folder / "browser.log"):
-            until(lambda: status()["latency_s"], "the browser shows pictures")
-            if arguments.record:
-                ask(url + "/api/recordings", {"name": "bench"})
-                until(lambda: status()["recording"]["frames"], "it records")
-            before, busy = status(), cpu_s(url)
-            began = time.monotonic()
-            samples: list[Any] = []
-            while time.monotonic() - began < arguments.seconds:
-                time.sleep(1)
-                samples.append((time.monotonic() - began, resident_mb(daemon.pid), status()))
-            elapsed, after = time.monotonic() - began, status()
-            busy = {name: used - busy.get(name, 0.0) for name, used in cpu_s(url).items()}
-            if arguments.record:
-                ask(url + "/api/recordings/stop", {})
-                until(lambda: status()["recording"]["last"], "the recording has ended")
-    show(arguments, elapsed, before, after, busy, samples)
-    emulated = float((folder / "emulated").read_text())
-    print(f"The emulated camera took {emulated:.1f} s of the acquisition thread's CPU in all.")
-    if arguments.plot:
-        plot(arguments.plot, samples)
+    with tempfile.TemporaryDirectory(prefix="hueflight-bench-", dir=arguments.folder) as name:
+        folder = Path(name)
+        me = [
+            sys.executable, __file__, "--serve", name, "--instrument", arguments.instrument,
+            "--rate", str(rate_hz), "--pictures", str(arguments.pictures),
+            "--drawn", str(arguments.drawn), "--change-sigma", str(arguments.change_sigma),
+            "--occupancy", str(arguments.occupancy),
+        ]  # fmt: skip
+        with running(me, folder / "daemon.log") as daemon:
+            line = until(lambda: _first_line(folder / "daemon.log", daemon), "the daemon listens")
+            url = json.loads(line)["url"].rstrip("/")
+            _calibrate(url)
+            page = [chromium, *BROWSER, f"--user-data-dir={folder / 'profile'}", url]
+            with running(page, folder / "browser.log") as browser:
+                until(lambda: status_of(url)["latency_s"], "the browser shows pictures")
+                return _watch(arguments, seconds, url, folder, (daemon.pid, browser.pid)) | {
+                    "rate_hz": rate_hz
+                }
+
+
+def status_of(url: str) -> Any:
+    """How the daemon says things stand."""
+    return json.loads(ask(url + "/api/status"))
+
+
+def _calibrate(url: str) -> None:
+    until(lambda: status_of(url)["totals"]["delivered"] > 100, "frames come")
+    wish = {"distance": 0.4, "frames": 4000, "bands": False, "dark": False}
+    ask(url + "/api/calibration", wish)
+    until(lambda: status_of(url)["calibration"]["step"] in ("done", "failed"), "it is calibrated")
+    calibration = status_of(url)["calibration"]
+    if calibration["step"] == "failed":
+        raise SystemExit(f"no calibration: {calibration['message']}")
+
+
+def _watch(
+    arguments: argparse.Namespace,
+    seconds: float,
+    url: str,
+    folder: Path,
+    processes: tuple[int, int],
+) -> dict[str, Any]:
+    """Sample a running daemon once a second."""
+    daemon, _ = processes
+    cpu_s = Stages(url, folder, *processes)
+    record_s = min(arguments.record, seconds)
+    if record_s:
+        ask(url + "/api/recordings", {"name": "bench", "seconds": record_s + SETTLE_S})
+        until(lambda: status_of(url)["recording"]["frames"], "it records")
+    time.sleep(SETTLE_S)
+    before, busy = status_of(url), cpu_s()
+    began, samples, recorded = time.monotonic(), [], 0
+
+    def since(group: dict[str, Any], start: dict[str, Any]) -> dict[str, Any]:
+        return {name: value - start[name] for name, value in group.items()}
+
+    while time.monotonic() - began < seconds:
+        time.sleep(1)
+        now = status_of(url)
+        recorded = max(recorded, now["recording"]["frames"])
+        samples.append(
+            {
+                "time_s": round(time.monotonic() - began, 2),
+                "memory_mb": round(resident_mb(daemon), 1),
+                "lost": since(now["lost"], before["lost"]),
+                "latency_s": now["latency_s"],
+                "cpu_s": since(cpu_s(), busy),
+            }
+        )
+    elapsed, after = time.monotonic() - began, status_of(url)
+    totals = since(after["totals"], before["totals"])
+    sensor = Instrument.load(arguments.instrument).sensor
+    return {
+        "elapsed_s": elapsed,
+        "shape": [sensor.rows, sensor.cols],
+        "delivered": totals["delivered"],
+        "bytes": totals["bytes"],
+        "occupancy": totals["photons"] / max(1, totals["delivered"]) / sensor.rows / sensor.cols,
+        "lost": since(after["lost"], before["lost"]),
+        "record_s": record_s,
+        "recorded_frames": recorded,
+        "pictures": after["picture"]["number"] - before["picture"]["number"],
+        "method": after["picture"]["method"],
+        "latency_s": after["latency_s"],
+        "cpu_s": since(cpu_s(), busy),
+        "load": os.getloadavg()[0],
+        "cores": os.cpu_count(),
+        "samples": thinned(samples),
+    }
+
+
+def highest_rate(arguments: argparse.Namespace) -> tuple[float, list[tuple[float, int]]]:
+    """The highest rate at which a short run loses no frame, and what was tried."""
+    tried: list[tuple[float, int]] = []
+    rate_hz = arguments.rate
+    while rate_hz > LEAST * arguments.rate:
+        lost = sum(measure(arguments, rate_hz, TRIAL_S)["lost"].values())
+        tried.append((rate_hz, lost))
+        print(f"{rate_hz:,.0f} frames per second: {lost:,} lost", file=sys.stderr)
+        if not lost:
+            return rate_hz, tried
+        rate_hz *= SLOWER
+    raise SystemExit(f"frames were lost at every rate: {tried}")
 
 
 def _first_line(log: Path, process: subprocess.Popen[bytes]) -> str:
@@ -213,84 +340,38 @@ def _first_line(log: Path, process: subprocess.Popen[bytes]) -> str:
     return next((line for line in log.read_text().splitlines() if '"url"' in line), "")
 
 
-def show(
-    arguments: argparse.Namespace, elapsed: float, before: Any, after: Any,
-    busy: dict[str, float], samples: list[Any],
-) -> None:  # fmt: skip
-    """Print the tables."""
-
-    def more(group: str, name: str) -> int:
-        return after[group][name] - before[group][name]
-
-    lost = {place: more("lost", place) for place in after["lost"]}
-    delivered = more("totals", "delivered")
-    sensor = Instrument.load(arguments.instrument).sensor
-    pixels = sensor.rows * sensor.cols
-    occupancy = more("totals", "photons") / max(1, delivered) / pixels
-    memory = [megabytes for _, megabytes, _ in samples]
-    steady = memory[len(memory) // 5 :]
-    print(f"## {elapsed:.0f} s at {arguments.rate:g} frames per second\n")
-    print(table(["what", "value"], [
-        ["frames delivered per second", f"{delivered / elapsed:,.0f}"],
-        ["occupancy", f"{occupancy:.3f}"],
-        ["MB per second", f"{more('totals', 'bytes') / elapsed / 1e6:.1f}"],
-        ["frames lost", ", ".join(f"{place} {n}" for place, n in lost.items())],
-        ["pictures per second", f"{more('picture', 'number') / elapsed:.1f}"],
-        ["memory after a fifth, at the end, most (MB)",
-         f"{steady[0]:.0f}, {steady[-1]:.0f}, {max(steady):.0f}"],
-        ["load of the machine", f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"],
-    ]))  # fmt: skip
-    delays = after["latency_s"]
-    print(table(["last photon to shown", "ms"],
-                [[name, f"{1e3 * delays[name]:.0f}"] for name in delays]))  # fmt: skip
-    shares = sorted(busy.items(), key=lambda item: -item[1])
-    rows = [[name, f"{used / elapsed:.3f}"] for name, used in shares if used > 1e-3 * elapsed]
-    print(table(["thread", "share of one core"], rows))
-
-
-def plot(path: Path, samples: list[Any]) -> None:
-    """Memory, frames lost and delay over time."""
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    mpl.rcParams["svg.hashsalt"] = "hueflight"
-    import matplotlib.pyplot as plt
-
-    seconds = [at for at, _, _ in samples]
-    figure, axes = plt.subplots(3, sharex=True, figsize=(7, 5), layout="constrained")
-    for axis, label, values in (
-        (axes[0], "memory (MB)", [megabytes for _, megabytes, _ in samples]),
-        (axes[1], "frames lost", [sum(found["lost"].values()) for *_, found in samples]),
-        (axes[2], "delay, median (ms)", [1e3 * found["latency_s"]["p50"] for *_, found in samples]),
-    ):
-        axis.plot(seconds, values, color="tab:blue")
-        axis.set(ylabel=label, ylim=(0, 1.3 * max(values) or 1))
-    axes[2].set(xlabel="time (s)", xlim=(0, seconds[-1]))
-    figure.savefig(path, metadata={"Date": None})
-
-
 def main() -> None:
     # a time-out that ends this must not leave the daemon and the browser behind
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended from outside"))
     parser = argparse.ArgumentParser(description="The daemon at the pace of a camera.")
     parser.add_argument("--rate", type=float, default=480.0, help="frames per second")
+    parser.add_argument("--search", action="store_true", help="slower, until no frame is lost")
     parser.add_argument("--instrument", default="paper", help="preset or TOML file")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--pictures", type=float, default=0.0, help="per second; 0: what suits")
+    parser.add_argument("--occupancy", type=float, default=0.0, help="0: what the scene has")
     parser.add_argument("--change-sigma", type=float, default=4.0, help="0: fit every pixel")
     parser.add_argument("--drawn", type=int, default=240, help="frames that are played in turn")
-    parser.add_argument("--record", action="store_true", help="record meanwhile")
-    parser.add_argument("--plot", type=Path)
+    parser.add_argument(
+        "--record", type=float, nargs="?", const=60.0, default=0.0, metavar="SECONDS",
+        help="record at the beginning, 60 s unless said otherwise",
+    )  # fmt: skip
+    parser.add_argument("--folder", type=Path, help="where the recording goes meanwhile")
+    parser.add_argument("--plot", type=Path, help="file to draw the run in")
+    parser.add_argument("--docs", metavar="NAME", help="put plot, tables and JSON into docs/")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:
-        serve(
-            arguments.serve, arguments.instrument, arguments.rate, arguments.pictures,
-            arguments.drawn, arguments.change_sigma,
-        )  # fmt: skip
+        serve(arguments)
         return
-    with tempfile.TemporaryDirectory(prefix="hueflight-bench-") as folder:
-        measure(arguments, Path(folder))
+    rate_hz, trials = highest_rate(arguments) if arguments.search else (arguments.rate, [])
+    run = measure(arguments, rate_hz, arguments.seconds)
+    run |= {"trials": trials, "trial_s": TRIAL_S}
+    print(tables(run))
+    if arguments.plot:
+        plot(arguments.plot, run)
+    if arguments.docs:
+        into_documentation(arguments.docs, run)
 
 
 if __name__ == "__main__":

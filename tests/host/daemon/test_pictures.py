@@ -93,6 +93,11 @@ def test_delays_and_their_parts() -> None:
     assert found == {
         "p50": 0.42, "p95": 0.43, "p99": 0.43, "waiting": 0.1, "making": 0.3, "showing": 0.02
     }  # fmt: skip
+    late: Any = SimpleNamespace(received_s=36.0, begun_s=36.0, ready_s=36.0)
+    latencies.shown(late, 36.5)
+    assert latencies.as_dict() == {
+        "p50": 0.5, "p95": 0.5, "p99": 0.5, "waiting": 0, "making": 0, "showing": 0.5
+    }  # fmt: skip
 
 
 def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(

@@ -1,0 +1,105 @@
+"""What came of a run of the daemon: tables, a plot, and both in the documentation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _measure import table
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+MOST_SAMPLES = 150  #: that are kept and drawn
+STAGES = ("emulated camera", "checking and counting", "recording", "pictures", "serving", "browser")
+
+
+def tables(run: dict[str, Any]) -> str:
+    """Markdown: the run, its delays, its CPU time by stage."""
+    elapsed, lost = run["elapsed_s"], run["lost"]
+    memory = [sample["memory_mb"] for sample in run["samples"]]
+    steady = memory[len(memory) // 5 :]
+    rows, cols = run["shape"]
+    what = [
+        ["time", f"{elapsed:.0f} s"],
+        ["frames", f"{rows} × {cols} pixels, {run['rate_hz']:,.0f} per second asked for"],
+        ["frames delivered", f"{run['delivered']:,}, {run['delivered'] / elapsed:,.0f} per second"],
+        ["frames lost", ", ".join(f"{place} {count:,}" for place, count in lost.items())],
+        ["occupancy", f"{run['occupancy']:.3f}"],
+        ["data", f"{run['bytes'] / elapsed / 1e6:.1f} MB per second"],
+        ["recorded", f"{run['recorded_frames']:,} frames, the first {run['record_s']:.0f} s and a "
+         "little before"],
+        ["pictures made", f"{run['pictures'] / elapsed:.1f} per second, method {run['method']}"],
+        ["memory after a fifth, at the end, most",
+         f"{steady[0]:.0f}, {steady[-1]:.0f}, {max(steady):.0f} MB"],
+        ["load of the machine", f"{run['load']:.1f} on {run['cores']} cores"],
+    ]  # fmt: skip
+    if not run["record_s"]:
+        what = [row for row in what if row[0] != "recorded"]
+    parts = [table(["what", "value"], what)]
+    delays = run["latency_s"]
+    if delays:
+        names = {"p50": "median", "p95": "95 %", "p99": "99 %"} | {
+            name: f"{name}, median" for name in ("waiting", "making", "showing")
+        }
+        parts.append(
+            table(
+                ["last photon to shown, last 30 s", "ms"],
+                [[names[name], f"{1e3 * value:.0f}"] for name, value in delays.items()],
+            )
+        )
+    shares = [[stage, f"{run['cpu_s'].get(stage, 0.0) / elapsed:.3f}"] for stage in STAGES]
+    parts.append(table(["stage", "share of one core"], shares))
+    if run["trials"]:
+        tried = [[f"{rate:,.0f}", f"{lost:,}"] for rate, lost in run["trials"]]
+        parts.append(
+            table([f"frames per second, {run['trial_s']:.0f} s each", "frames lost"], tried)
+        )
+    return "\n".join(parts)
+
+
+def thinned(samples: list[Any]) -> list[Any]:
+    """As many samples as a plot shows, the last one among them."""
+    step = -(-len(samples) // MOST_SAMPLES)
+    return samples[::-1][::step][::-1]
+
+
+def plot(path: Path, run: dict[str, Any]) -> None:
+    """Memory, frames lost by place, CPU by stage and delay over time."""
+    import matplotlib as mpl
+
+    mpl.use("svg")
+    mpl.rcParams["svg.hashsalt"] = "hueflight"
+    import matplotlib.pyplot as plt
+
+    samples = run["samples"]
+    seconds = [sample["time_s"] for sample in samples]
+    figure, axes = plt.subplots(4, sharex=True, figsize=(7, 8), layout="constrained")
+    axes[0].plot(seconds, [sample["memory_mb"] for sample in samples], color="tab:blue")
+    axes[0].set(ylabel="memory (MB)", ylim=(0, None))
+    for place in run["lost"]:
+        axes[1].plot(seconds, [sample["lost"][place] for sample in samples], label=place)
+    most = max(max(sample["lost"].values()) for sample in samples)
+    axes[1].set(ylabel="frames lost", ylim=(-0.05 * max(most, 1), 1.1 * max(most, 1)))
+    axes[1].legend(ncols=5, fontsize="small", loc="upper left")
+    for stage in STAGES:
+        used = [sample["cpu_s"].get(stage, 0.0) for sample in samples]
+        axes[2].plot(seconds[1:], np.diff(used) / np.diff(seconds), label=stage)
+    axes[2].set(ylabel="share of one core", ylim=(0, None))
+    axes[2].legend(ncols=3, fontsize="small", loc="upper right")
+    for name, label in (("p50", "median"), ("p95", "95 %")):
+        delays = [1e3 * (sample["latency_s"] or {}).get(name, float("nan")) for sample in samples]
+        axes[3].plot(seconds, delays, label=label)
+    axes[3].set(ylabel="delay (ms)", ylim=(0, None), xlabel="time (s)", xlim=(0, seconds[-1]))
+    axes[3].legend(ncols=2, fontsize="small")
+    figure.savefig(path, metadata={"Date": None})
+    plt.close(figure)
+
+
+def into_documentation(name: str, run: dict[str, Any]) -> None:
+    """Put tables, plot and numbers of a run where the page of the daemon includes them."""
+    results = DOCS / "results"
+    results.mkdir(exist_ok=True)
+    (results / f"daemon-{name}.json").write_text(json.dumps(run, indent=1) + "\n")
+    (results / f"daemon-{name}.inc").write_text(tables(run))
+    plot(DOCS / "images" / f"daemon-{name}.svg", run)

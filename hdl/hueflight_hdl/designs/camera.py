@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from amaranth.hdl import Module, Mux, Signal
-from amaranth.lib import stream, wiring
+from amaranth.lib import data, stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
 from hueflight_protocol.camera_map import PIXEL_MASK_ADDRESS, camera_map
@@ -26,6 +26,17 @@ from ..sensor.port import SensorPort
 from ..sensor.scene import Scene
 from ..sensor.synthetic import SyntheticSensor
 from ..source import VERSION
+
+_HAPPENED_LAYOUT = data.StructLayout(
+    {
+        **dict.fromkeys(
+            ("began", "ended", "triggered", "missed", "dropped", "aborted", "fault", "over"), 1
+        ),
+        "stalled": 1,
+        "frame": 64,
+    }
+)
+"""What is counted and told of; see `Camera._note`."""
 
 
 @dataclass(frozen=True)
@@ -168,11 +179,12 @@ class Camera(wiring.Component):
         self._exposures(m)
         synthetic = self._sensors(m)
         capture = self._capture(m)
+        happened = self._note(m)
         self._frames(m, synthetic, capture)
         self._filters(m)
-        self._count(m)
-        self._messages(m, capture)
-        self._status(m)
+        self._count(m, happened)
+        self._messages(m, capture, happened)
+        self._status(m, happened)
         return m
 
     def _exposures(self, m: Module) -> None:
@@ -283,31 +295,52 @@ class Camera(wiring.Component):
             self._formatter.mask_data.eq(mask.word),
         ]
 
-    def _count(self, m: Module) -> None:
-        exposure, guard, formatter = self._exposure, self._guard, self._formatter
-        counters = self._counters
+    def _note(self, m: Module) -> data.View:
+        """Return what happened in the clock before.
+
+        All that counts or tells of it does so from here, a clock late and in step: wide counters
+        are then on no path of what decides about a frame.
+        """
+        exposure, guard = self._exposure, self._guard
+        happened = Signal(_HAPPENED_LAYOUT)
+        m.d.sync += [
+            happened.began.eq(exposure.began),
+            happened.ended.eq(exposure.ended),
+            happened.triggered.eq(exposure.triggered & exposure.running),
+            happened.missed.eq(exposure.missed & exposure.running),
+            happened.dropped.eq(guard.dropped),
+            happened.aborted.eq(guard.aborted),
+            happened.fault.eq(guard.fault),
+            happened.over.eq(guard.over),
+            happened.stalled.eq(self.packets.valid & ~self.packets.ready),
+            happened.frame.eq(exposure.frame),
+        ]
+        return happened
+
+    def _count(self, m: Module, happened: data.View) -> None:
+        formatter, counters = self._formatter, self._counters
         m.d.comb += [
-            counters.began.eq(exposure.began),
-            counters.frames_dropped.eq(guard.dropped),
-            counters.frames_aborted.eq(guard.aborted),
-            counters.triggers_lost.eq(exposure.missed & exposure.running),
-            counters.stall_clocks.eq(self.packets.valid & ~self.packets.ready),
-            counters.faults.eq(guard.fault),
+            counters.began.eq(happened.began),
+            counters.frames_dropped.eq(happened.dropped),
+            counters.frames_aborted.eq(happened.aborted),
+            counters.triggers_lost.eq(happened.missed),
+            counters.stall_clocks.eq(happened.stalled),
+            counters.faults.eq(happened.fault),
             counters.sent.eq(formatter.sent),
             counters.hits.eq(formatter.hits),
-            counters.triggered.eq(exposure.triggered & exposure.running),
+            counters.triggered.eq(happened.triggered),
             counters.waiting.eq((self.config.buffer_words - formatter.room) << 3),
-            counters.frame.eq(exposure.frame),
+            counters.frame.eq(happened.frame),
         ]
 
-    def _messages(self, m: Module, capture: Signal) -> None:
-        registers, exposure, guard = self._registers, self._exposure, self._guard
+    def _messages(self, m: Module, capture: Signal, happened: data.View) -> None:
+        registers, exposure = self._registers, self._exposure
         counters, messenger = self._counters, self._messenger
         # what ends a capture is said when its last frame has been sent
         ending = Signal()
         settled = Signal()
         m.d.comb += settled.eq(ending & ~self._formatter.in_frame & ~self._formatter.sending)
-        with m.If(exposure.ended):
+        with m.If(happened.ended):
             m.d.sync += ending.eq(1)
         with m.Elif(settled):
             m.d.sync += ending.eq(0)
@@ -315,18 +348,18 @@ class Camera(wiring.Component):
         interval = registers.status_interval.value
         frames = Signal(32)  # since the last status
         due = Signal()
-        m.d.comb += due.eq(guard.over & (frames + 1 >= interval))
-        with m.If(exposure.began | due):
+        m.d.comb += due.eq(happened.over & (frames + 1 >= interval))
+        with m.If(happened.began | due):
             m.d.sync += frames.eq(0)
-        with m.Elif(guard.over):
+        with m.Elif(happened.over):
             m.d.sync += frames.eq(frames + 1)
 
         m.d.comb += [
-            exposure.ready.eq(messenger.idle & ~ending),
-            messenger.started.eq(exposure.began),
-            messenger.overflow.eq(guard.dropped | guard.aborted),
-            messenger.trigger_lost.eq(exposure.missed & exposure.running),
-            messenger.fault.eq(guard.fault),
+            exposure.ready.eq(messenger.idle & ~ending & ~happened.ended),
+            messenger.started.eq(happened.began),
+            messenger.overflow.eq(happened.dropped | happened.aborted),
+            messenger.trigger_lost.eq(happened.missed),
+            messenger.fault.eq(happened.fault),
             messenger.stopped.eq(settled),
             messenger.status.eq((due | settled) & (interval != 0)),
             messenger.test.eq(registers.test_send.value),
@@ -338,20 +371,20 @@ class Camera(wiring.Component):
             messenger.seed.eq(registers.test_seed.value),
         ]
 
-    def _status(self, m: Module) -> None:
+    def _status(self, m: Module, happened: data.View) -> None:
         registers, exposure = self._registers, self._exposure
-        guard, formatter, counters = self._guard, self._formatter, self._counters
+        formatter, counters = self._formatter, self._counters
         counted = counters.counters
         m.d.comb += [
             registers.state.running.eq(exposure.running),
             registers.state.stopping.eq(exposure.stopping),
             registers.state.exposing.eq(exposure.exposing),
             registers.state.sending.eq(formatter.sending | formatter.in_frame),
-            registers.state.stalled.eq(self.packets.valid & ~self.packets.ready),
-            registers.faults_set.dropped.eq(guard.dropped),
-            registers.faults_set.aborted.eq(guard.aborted),
-            registers.faults_set.trigger_lost.eq(exposure.missed & exposure.running),
-            registers.faults_set.sensor.eq(guard.fault),
+            registers.state.stalled.eq(happened.stalled),
+            registers.faults_set.dropped.eq(happened.dropped),
+            registers.faults_set.aborted.eq(happened.aborted),
+            registers.faults_set.trigger_lost.eq(happened.missed),
+            registers.faults_set.sensor.eq(happened.fault),
             registers.faults_set.saturated.eq(counters.saturated),
             registers.timestamp.value.eq(exposure.now),
             registers.frame.value.eq(counted.frame),

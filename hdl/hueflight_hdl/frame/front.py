@@ -21,7 +21,7 @@ class FrameFront(wiring.Component):
     header_free : In(1)
         There is room for the header of a new frame.
     freed : In(1)
-        A bank has been read.
+        A bank has been read; it counts as free two clocks later.
     o : Out(stream)
         Beats, see `FrameFormat.beat_layout`; cannot wait.
     ends : Out(1)
@@ -62,7 +62,11 @@ class FrameFront(wiring.Component):
         starts = Signal(init=1)  # the next beat begins a chunk
         in_last = Signal(init=form.chunks == 1)  # the next beat belongs to the last chunk
         taken, aborts = Signal(), Signal()
-        chunk_end, frame_end = Signal(), Signal()
+        # the next beat ends a chunk: known before it comes, as much hangs on it
+        lone = form.chunk(last=form.chunks == 1).beats == 1
+        chunk_end, frame_end = Signal(init=lone), Signal()
+        next_last = Signal()  # the chunk that follows is the last
+        freed = Signal()
         payload = self.o.payload
         m.d.comb += [
             self.i.ready.eq(
@@ -77,7 +81,7 @@ class FrameFront(wiring.Component):
             self.o.valid.eq(taken | aborts),
             payload.codes.eq(self.i.payload),
             payload.first.eq(~self.in_frame),
-            chunk_end.eq(beat == Mux(in_last, last.beats - 1, inner.beats - 1)),
+            next_last.eq(chunk == form.chunks - 2),
             frame_end.eq(chunk_end & in_last),
             self.ends.eq(frame_end),
             payload.chunk_end.eq(chunk_end),
@@ -86,19 +90,29 @@ class FrameFront(wiring.Component):
         ]
         m.d.sync += [
             self.in_frame.eq(self.hold),
+            freed.eq(self.freed),
             # an aborted chunk that was begun gives its bank back
-            self.banks_free.eq(
-                self.banks_free + self.freed + (aborts & ~starts) - (taken & starts)
-            ),
+            self.banks_free.eq(self.banks_free + freed + (aborts & ~starts) - (taken & starts)),
         ]
         with m.If(taken):
-            m.d.sync += [beat.eq(beat + 1), starts.eq(chunk_end)]
+            m.d.sync += [
+                beat.eq(beat + 1),
+                starts.eq(chunk_end),
+                chunk_end.eq(beat + 2 == Mux(in_last, last.beats, inner.beats)),
+            ]
             with m.If(chunk_end):
                 m.d.sync += [
                     beat.eq(0),
                     chunk.eq(chunk + 1),
-                    in_last.eq(chunk == form.chunks - 2),
+                    in_last.eq(next_last),
+                    chunk_end.eq(Mux(next_last, last.beats == 1, inner.beats == 1)),
                 ]
         with m.If(aborts | (taken & frame_end)):
-            m.d.sync += [beat.eq(0), chunk.eq(0), starts.eq(1), in_last.eq(form.chunks == 1)]
+            m.d.sync += [
+                beat.eq(0),
+                chunk.eq(0),
+                starts.eq(1),
+                in_last.eq(form.chunks == 1),
+                chunk_end.eq(lone),
+            ]
         return m

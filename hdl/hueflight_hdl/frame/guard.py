@@ -33,7 +33,7 @@ class FrameGuard(wiring.Component):
     read : In(1)
         A readout is asked for.
     give_up : In(1)
-        End the readout at once.
+        End the readout in the next clock.
     sensor : In(stream)
         See `sensor_beat_layout`; never waits.
     admit : In(1)
@@ -79,16 +79,15 @@ class FrameGuard(wiring.Component):
         m = Module()
         beat, comes = self.sensor.payload, self.sensor.valid
         waited = Signal(range(self.patience + 1))
-        late, ends_now = Signal(), Signal()
-        m.d.sync += [
-            waited.eq(waited + 1),
-            late.eq(waited == self.patience - 1),
-        ]
-        with m.If(comes | ~self.busy):
-            m.d.sync += [waited.eq(0), late.eq(0)]
+        waits, late, ends_now = Signal(), Signal(), Signal()
         m.d.comb += [
-            ends_now.eq(late | self.give_up),
+            waits.eq(self.busy & ~comes),
             self.beats.payload.eq(beat.codes),
+        ]
+        m.d.sync += [
+            waited.eq(Mux(waits, waited + 1, 0)),
+            late.eq(waits & (waited == self.patience - 1)),
+            ends_now.eq(self.give_up | (waits & (waited == self.patience - 1))),
         ]
 
         in_frame = Signal()
@@ -152,18 +151,23 @@ class FrameGuard(wiring.Component):
         """Return whether a beat's marks are those that its place in the frame has."""
         form = self.form
         beat = self.sensor.payload
-        col = Signal(range(form.cols))  # of lane 0
+        col, after = (Signal(range(form.cols)) for _ in range(2))  # of lane 0, and of its next
+        # what is compared with a beat's marks is known before the beat comes
+        begins = Signal(2, init=0b11)  # a row, in the beat, or in it as a frame's last
         right = Signal()
         step = form.lanes % form.cols
-        crosses = [(col > form.cols - used) for used in (form.lanes, form.last_lanes)]
-        row_begins = (col == 0) | Mux(self.ends, crosses[1], crosses[0])
-        m.d.comb += right.eq(
-            (beat.first == ~in_frame) & (beat.last == self.ends) & (beat.row == row_begins)
-        )
-        with m.If(taken):
-            m.d.sync += col.eq(col + step)
-            with m.If(col >= form.cols - step):
-                m.d.sync += col.eq(col + step - form.cols)
+        row_begins = Signal()
+        m.d.comb += [
+            after.eq(Mux(col >= form.cols - step, col + step - form.cols, col + step)),
+            row_begins.eq(Mux(self.ends, begins[1], begins[0])),
+            right.eq(
+                (beat.first == ~in_frame) & (beat.last == self.ends) & (beat.row == row_begins)
+            ),
+        ]
         with m.If(self.over):
-            m.d.sync += col.eq(0)
+            m.d.sync += [col.eq(0), begins.eq(begins.init)]
+        with m.Elif(taken):
+            m.d.sync += col.eq(after)
+            for number, used in enumerate((form.lanes, form.last_lanes)):
+                m.d.sync += begins[number].eq((after == 0) | (after > form.cols - used))
         return right

@@ -110,27 +110,43 @@ class PieceReader(wiring.Component):
         size = Signal(range(max(self.form.code_bits, WORD_BYTES) + 1))
         align = Signal()  # the next piece begins at a multiple of four bytes
         piece = Signal(PIECE_LAYOUT)
-        fill = Signal(5)  # bytes that are not in a full word yet
-        go = self._place(m, fill, wanted, size, align, piece)
-        self._sequence(m, fill, go, wanted, size, align, piece)
+        half, whole = Signal(), Signal(init=1)  # what is not in a full word yet
+        go = self._place(m, half, whole, wanted, size, align, piece)
+        self._sequence(m, half, whole, go, wanted, size, align, piece)
         return m
 
     def _place(
-        self, m: Module, fill: Signal, wanted: Signal, size: Signal, align: Signal, piece: data.View
+        self,
+        m: Module,
+        half: Signal,
+        whole: Signal,
+        wanted: Signal,
+        size: Signal,
+        align: Signal,
+        piece: data.View,
     ) -> Signal:
         """Settle where a piece goes; return whether it is taken now."""
+        fill, filled = Signal(5), Signal(5)  # bytes that are not in a full word yet
         drain, go = Signal(), Signal()
         total, end = Signal(5), Signal(5)
         m.d.comb += [
-            drain.eq(fill[3:].any()),
             go.eq(wanted & self.room & ~drain),
             total.eq(fill[:3] + size),
             end.eq(Mux(align, (total + 3) & ~3, total)),
+            filled.eq(fill),
         ]
         with m.If(go):
-            m.d.sync += fill.eq(Mux(end >= WORD_BYTES, end - WORD_BYTES, end))
+            m.d.comb += filled.eq(Mux(end >= WORD_BYTES, end - WORD_BYTES, end))
         with m.Elif(drain & self.room):
-            m.d.sync += fill.eq(fill - WORD_BYTES)
+            m.d.comb += filled.eq(fill - WORD_BYTES)
+        # what `fill` says is known with it, since all of a clock's work hangs on it
+        m.d.sync += [
+            fill.eq(filled),
+            drain.eq(filled[3:].any()),
+            # what is held of half a word has 0 behind it, see `ByteFunnel`
+            half.eq(filled == 4),
+            whole.eq(filled == 0),
+        ]
         m.d.sync += [
             self.o.valid.eq((wanted | drain) & self.room),
             self.o.payload.eq(piece),
@@ -145,7 +161,8 @@ class PieceReader(wiring.Component):
     def _sequence(
         self,
         m: Module,
-        fill: Signal,
+        half: Signal,
+        whole: Signal,
         go: Signal,
         wanted: Signal,
         size: Signal,
@@ -163,7 +180,6 @@ class PieceReader(wiring.Component):
         index, sent = Signal(14), Signal(16)
         aborted = Signal()
         frame_before = Signal()  # the last packet was a frame: a message has precedence
-        half, whole = Signal(), Signal()
         left = Signal.like(place)  # pieces of this bitmap, or of these codes, after this one
         ends = Signal()  # there are none
         bitmap_final, bitmap_rest = _bitmap_sizes(inner, last, chunk.short)
@@ -171,9 +187,6 @@ class PieceReader(wiring.Component):
         m.d.comb += [
             self.place.eq(place),
             piece.word.eq(word),
-            # what is held of half a word has 0 behind it, see `ByteFunnel`
-            half.eq(fill == 4),
-            whole.eq(fill == 0),
         ]
         m.d.sync += self.message.eq(self.messages.payload.data)
 

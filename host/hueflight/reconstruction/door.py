@@ -50,9 +50,9 @@ def check_in(histogram: ArrayLike, calibration: Calibration, frames: ArrayLike |
             check_histogram(counts, instrument)  # says so
         known = frames is None and instrument.sensor.reports_empty
         exposures = sums if known else frames_per_pixel(counts, instrument, frames)
-        dark = np.ones(counts.shape[2], bool)  # codes that are not light are few
-        dark[calibration.bins.codes] = False
-        photons = sums - counts[..., dark].sum(axis=-1, dtype=np.float64)
+        photons = sums.copy()
+        for code in np.setdiff1d(np.arange(counts.shape[2]), calibration.bins.codes):  # few
+            photons -= counts[..., code]
     else:
         counts = check_histogram(counts, instrument)
         exposures, full = frames_per_pixel(counts, instrument, frames), counters_full(counts)

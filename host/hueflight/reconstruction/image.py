@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -115,6 +116,12 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
             "instrument": instrument.name,
             "instrument_fingerprint": instrument.fingerprint(),
             "reference_distance_m": calibration.distance,
-            "software": f"hueflight {version('hueflight')}",
+            "software": _software(),
         },
     )
+
+
+@cache
+def _software() -> str:
+    """Name and version; read once, since that is a search of the disk."""
+    return f"hueflight {version('hueflight')}"

@@ -197,15 +197,21 @@ def in_metres(
     """
     rows, cols = photons.shape
     usable = calibration.usable
-
     everywhere = bool(chosen.all())
+    blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
+    starved = ~(found.delay_std_ns < blind_ns)
 
-    def plane(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def plane(values: NDArray[np.float64], *, told: bool = True) -> NDArray[np.float64]:
+        """As (…, row, col), but in memory as the fit gives it; NaN where nothing is told."""
+        if told and starved.any():
+            values = values.copy()
+            values[starved] = np.nan
         if everywhere:
-            return np.moveaxis(values, 0, -1).reshape(*values.shape[1:], rows, cols).copy()
-        filled = np.full((*values.shape[1:], rows, cols), np.nan)
-        filled[..., chosen] = np.moveaxis(values, 0, -1)
-        return filled
+            filled = values.reshape(rows, cols, *values.shape[1:])
+        else:
+            filled = np.full((rows, cols, *values.shape[1:]), np.nan)
+            filled[chosen] = values
+        return np.moveaxis(filled, (0, 1), (-2, -1))
 
     along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
     known_ns = calibration.pixel_delay_std_ns[chosen]
@@ -213,26 +219,25 @@ def in_metres(
     depth_std = plane(np.hypot(found.delay_std_ns, known_ns)) * along_axis
     other = calibration.distance + plane(found.other_ns) * along_axis
 
-    quality = _quality(calibration, photons, found, chosen, search_ns)
+    quality = _quality(calibration, found, chosen, starved)
     scale = _reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
     if range_correction:
         known = calibration.distance > 0
-        ratio = depth / calibration.distance if known else np.full_like(depth, np.nan)
+        guess = calibration.distance + plane(found.delay_ns, told=False) * along_axis
+        ratio = guess / calibration.distance if known else np.full_like(depth, np.nan)
         scale = scale * ratio**2
-    gain = scale / calibration.brightness[:, None, None]
-    starved = (quality & int(Quality.STARVED)) != 0
-    reflectance, deviation = gain * plane(found.amplitudes), gain * plane(found.amplitude_std)
-    for values in (depth, depth_std, other, *reflectance, *deviation):
-        values[starved] = np.nan
+    gain = scale[chosen][:, None] / calibration.brightness
     return Estimates(
         depth=depth,
         depth_std=depth_std,
         other_depth=other,
-        reflectance=reflectance,
-        reflectance_std=deviation,
-        background=plane(found.background) * calibration.bin_width_ns / calibration.bins.span_ns,
+        reflectance=plane(gain * found.amplitudes),
+        reflectance_std=plane(gain * found.amplitude_std),
+        background=plane(found.background, told=False)
+        * calibration.bin_width_ns
+        / calibration.bins.span_ns,
         photons=photons,
         quality=quality,
         white_photons=calibration.brightness.sum() / scale,
@@ -241,17 +246,16 @@ def in_metres(
 
 def _quality(
     calibration: Calibration,
-    photons: NDArray[np.float64],
     found: Fit,
     chosen: NDArray[np.bool_],
-    search_ns: tuple[float, float],
+    unknown: NDArray[np.bool_],
 ) -> NDArray[np.uint16]:
-    quality = np.zeros(photons.shape, np.uint16)
+    """Flags (row, col); of the chosen pixels, `unknown` (pixel,) are those that tell nothing."""
+    quality = np.zeros(chosen.shape, np.uint16)
     quality[calibration.dead] |= int(Quality.DEAD)
     quality[calibration.hot] |= int(Quality.HOT)
-    blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
     starved = calibration.usable.copy()
-    starved[chosen] = ~(found.delay_std_ns < blind_ns)
+    starved[chosen] = unknown
     quality[starved] |= int(Quality.STARVED)
     two = np.zeros_like(starved)
     two[chosen] = np.isfinite(found.other_ns)

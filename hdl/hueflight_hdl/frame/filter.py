@@ -89,12 +89,15 @@ class PixelFilter(wiring.Component):
         in_gate = [codes.keeps(m, beat.codes[lane]) for lane in lanes]
         masked = self._masked(m)
 
-        # 2: one bit per lane
-        keep = Signal(form.lanes)
+        # 2: two bits per lane
+        keep, hidden = Signal(form.lanes), Signal(form.lanes)
         for lane in lanes:
             in_region = in_row[lane] & in_col[lane]
-            out = (on[0] & masked[lane]) | (on[1] & ~in_region) | (on[2] & ~in_gate[lane])
-            m.d.sync += keep[lane].eq(~out)
+            out = (on[1] & ~in_region) | (on[2] & ~in_gate[lane])
+            m.d.sync += [
+                keep[lane].eq(~out),
+                hidden[lane].eq(on[0] & masked[lane]),  # by itself: block memories are slow
+            ]
 
         # 3: the codes
         beat1, beat2 = (Signal(form.beat_layout, reset_less=True) for _ in range(2))
@@ -107,7 +110,9 @@ class PixelFilter(wiring.Component):
             self.o.payload.eq(beat2),
         ]
         for lane in lanes:
-            m.d.sync += self.o.payload.codes[lane].eq(Mux(keep[lane], beat2.codes[lane], 0))
+            m.d.sync += self.o.payload.codes[lane].eq(
+                Mux(keep[lane] & ~hidden[lane], beat2.codes[lane], 0)
+            )
         return m
 
     def _advance(self) -> tuple[Value, Value]:

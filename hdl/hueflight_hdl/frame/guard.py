@@ -164,7 +164,7 @@ class FrameGuard(wiring.Component):
                 (beat.first == ~in_frame) & (beat.last == self.ends) & (beat.row == row_begins)
             ),
         ]
-        with m.If(self.over):
+        with m.If(~self.busy):  # as it is between any two readouts
             m.d.sync += [col.eq(0), begins.eq(begins.init)]
         with m.Elif(taken):
             m.d.sync += col.eq(after)

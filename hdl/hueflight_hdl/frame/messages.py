@@ -118,14 +118,16 @@ class Messenger(wiring.Component):
         waiting = Signal(len(EVENTS))
         status_waits, test_waits = Signal(), Signal()
         taken = Signal(len(EVENTS))
-        m.d.sync += waiting.eq(
-            (waiting & ~taken) | Cat(getattr(self, event.name) for event in EVENTS)
-        )
+        happened = Signal(len(EVENTS))  # a clock late, as what is told of it
+        m.d.sync += [
+            happened.eq(Cat(getattr(self, event.name) for event in EVENTS)),
+            waiting.eq((waiting & ~taken) | happened),
+        ]
         with m.If(self.status):
             m.d.sync += status_waits.eq(1)
         with m.If(self.test):
             m.d.sync += test_waits.eq(1)
-        counts, values = self._told(m, taken)
+        counts, values = self._told(m, happened, taken)
 
         # one word is made while the one before waits
         made = Signal(MESSAGE_LAYOUT)
@@ -141,7 +143,7 @@ class Messenger(wiring.Component):
         with m.FSM():
             with m.State("IDLE"):
                 m.d.comb += self.idle.eq(
-                    ~waiting.any() & ~status_waits & ~test_waits & ~self.o.valid
+                    ~(happened | waiting).any() & ~status_waits & ~test_waits & ~self.o.valid
                 )
                 m.d.sync += word.eq(0)
                 with m.If(waiting.any()):
@@ -191,9 +193,9 @@ class Messenger(wiring.Component):
                 with m.If(free):
                     m.d.sync += word.eq(word + 1)
                     with m.If(kind == _Kind.EVENT):
-                        m.d.comb += taken.eq(Mux(ends, 1 << chosen, 0))
+                        m.d.comb += taken.eq(Mux(word[0], 1 << chosen, 0))
                     with m.If(kind == _Kind.TEST):
-                        m.d.sync += next_word.eq(_following(next_word, pattern))
+                        m.d.sync += next_word.eq(_following(next_word, pattern, by=1))
                         m.next = "PATTERN"
                     with m.If(ends):
                         m.next = "TRAILER"
@@ -201,11 +203,14 @@ class Messenger(wiring.Component):
                 second = Signal(32)
                 m.d.comb += [
                     making.eq(1),
-                    second.eq(_following(next_word, pattern)),
+                    second.eq(_following(next_word, pattern, by=1)),
                     made.data.eq(Cat(next_word, Mux(odd & (left == 1), 0, second))),
                 ]
                 with m.If(free):
-                    m.d.sync += [left.eq(left - 1), next_word.eq(_following(second, pattern))]
+                    m.d.sync += [
+                        left.eq(left - 1),
+                        next_word.eq(_following(next_word, pattern, by=2)),
+                    ]
                     with m.If(left == 1):
                         m.next = "TRAILER"
             with m.State("TRAILER"):
@@ -234,21 +239,23 @@ class Messenger(wiring.Component):
             "check": Const(0),
         }
 
-    def _told(self, m: Module, taken: Signal) -> tuple[Array, Array]:
+    def _told(self, m: Module, happened: Signal, taken: Signal) -> tuple[Array, Array]:
         """Return count and value of each kind of event."""
         counters = self.counters
+        names = [event.name for event in EVENTS]
         overflow_frame, fault_frame = Signal(64), Signal(64)
         lost_now = Signal(32)
+        lost, started = (happened[names.index(name)] for name in ("trigger_lost", "started"))
         with m.If(self.overflow):
             m.d.sync += overflow_frame.eq(counters.frame)
         with m.If(self.fault):
             m.d.sync += fault_frame.eq(counters.frame)
-        names = [event.name for event in EVENTS]
-        with m.If(taken[names.index("trigger_lost")] | self.started):
-            m.d.sync += lost_now.eq(self.trigger_lost)
-        with m.Elif(self.trigger_lost & (lost_now != (1 << 32) - 1)):
+        with m.If(taken[names.index("trigger_lost")] | started):
+            m.d.sync += lost_now.eq(lost)
+        with m.Elif(lost & (lost_now != (1 << 32) - 1)):
             m.d.sync += lost_now.eq(lost_now + 1)
-        overflows = counters.frames_dropped + counters.frames_aborted
+        overflows = Signal(33)
+        m.d.sync += overflows.eq(counters.frames_dropped + counters.frames_aborted)
         told = {
             "started": (Const(1, 32), self.capture),
             "overflow": (Mux(overflows[32], 0xFFFF_FFFF, overflows[:32]), overflow_frame),
@@ -286,9 +293,11 @@ def _words(layout: Layout, values: Mapping[str, Value]) -> Array:
     return Array(whole[64 * i : 64 * (i + 1)] for i in range(layout.size // 8))
 
 
-def _following(word: Value, pattern: Value) -> Value:
-    """Return the word of a test pattern that follows `word`."""
-    a = word ^ (word << 13)[:32]
-    b = a ^ (a >> 17)
-    xorshift = b ^ (b << 5)[:32]
-    return Mux(pattern == PatternKind.COUNTER, (word + 1)[:32], xorshift)
+def _following(word: Value, pattern: Value, *, by: int) -> Value:
+    """Return the word of a test pattern that comes `by` words after `word`."""
+    shifted = word
+    for _ in range(by):
+        a = shifted ^ (shifted << 13)[:32]
+        b = a ^ (a >> 17)
+        shifted = b ^ (b << 5)[:32]
+    return Mux(pattern == PatternKind.COUNTER, (word + by)[:32], shifted)

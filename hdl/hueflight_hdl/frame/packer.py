@@ -195,4 +195,8 @@ def tally_layout(form: FrameFormat, /) -> data.StructLayout:
 
 
 def _count_ones(bits: Value) -> Value:
-    return sum(bits, start=Signal(0))
+    """Count in halves: a sum of eight in a row would be twice as deep."""
+    if len(bits) < 2:
+        return bits
+    half = len(bits) // 2
+    return _count_ones(bits[:half]) + _count_ones(bits[half:])

@@ -142,10 +142,10 @@ class PieceReader(wiring.Component):
         # what `fill` says is known with it, since all of a clock's work hangs on it
         m.d.sync += [
             fill.eq(filled),
-            drain.eq(filled[3:].any()),
+            drain.eq(Mux(go, end[4], Mux(drain & self.room, fill[4], drain))),
             # what is held of half a word has 0 behind it, see `ByteFunnel`
-            half.eq(filled == 4),
-            whole.eq(filled == 0),
+            half.eq((filled[:3] == 4) & ~filled[3:].any()),
+            whole.eq((filled[:3] == 0) & ~filled[3:].any()),
         ]
         m.d.sync += [
             self.o.valid.eq((wanted | drain) & self.room),

@@ -115,6 +115,7 @@ class CobsEncoder(wiring.Component):
         load = memory.read_port(domain="sync")
         count = Signal(8)  # bytes of the block
         sent = Signal(8)
+        byte = Signal(8)
         last = Signal()  # the block ends the message
         empty = Signal()  # an empty block follows: the message's last byte is zero
         beat = self.messages.payload
@@ -142,7 +143,7 @@ class CobsEncoder(wiring.Component):
                 with m.If(self.line.ready):
                     m.next = "FETCH"
             with m.State("FETCH"):
-                m.next = "BYTE"
+                m.next = "LOAD"
                 with m.If(sent == count):
                     m.d.sync += [count.eq(0), sent.eq(0)]
                     with m.If(empty):
@@ -152,8 +153,11 @@ class CobsEncoder(wiring.Component):
                         m.next = "GATHER"
                         with m.If(last):
                             m.next = "DELIMITER"
+            with m.State("LOAD"):
+                m.d.sync += byte.eq(load.data)  # block memories are slow
+                m.next = "BYTE"
             with m.State("BYTE"):
-                m.d.comb += [self.line.valid.eq(1), self.line.payload.eq(load.data)]
+                m.d.comb += [self.line.valid.eq(1), self.line.payload.eq(byte)]
                 with m.If(self.line.ready):
                     m.d.sync += sent.eq(sent + 1)
                     m.next = "FETCH"

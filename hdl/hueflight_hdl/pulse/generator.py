@@ -165,8 +165,10 @@ class PulseGenerator(wiring.Component):
 
         now = Signal(status_layout(self.config))
         self._statistics(m, train, external_served, now)
+        busy = Signal()  # kept from the train's own, which a snapshot would draw away from it
+        m.d.pulse += busy.eq(train.busy)
         m.d.comb += [
-            now.busy.eq(train.busy),
+            now.busy.eq(busy),
             now.bank.eq(self.bank),
             now.running.eq(sequencer.running),
             now.step.eq(sequencer.number),

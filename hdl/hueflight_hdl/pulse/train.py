@@ -84,13 +84,18 @@ class Train(wiring.Component):
         ]
 
         # how long it is busy; `periods` is at rest, and so are the lengths in clocks. The count
-        # begins one clock after the edge, so that little hangs on `accept`.
+        # begins one clock after the edge, so that little hangs on `accept`; and its end is seen two
+        # steps ahead, so that little stands between `busy` and itself.
         lengths = [self._clocks_less_one(m, self.periods[bank]) for bank in range(2)]
         count = self.left
-        small = Signal()
+        near, ending = Signal(), Signal()
         spacing = Signal(range(MIN_SPACING))
-        m.d.pulse += [count.eq(count - 1), small.eq(count[2:] == 0)]
-        with m.If(busy & small & (count[:2] == 2) & ~self.served):
+        m.d.pulse += [
+            count.eq(count - 1),
+            near.eq((count == 4) & ~self.served),
+            ending.eq(near & ~self.served),
+        ]
+        with m.If(ending & ~self.served):
             m.d.pulse += busy.eq(0)
         with m.If(spacing != 0):
             m.d.pulse += spacing.eq(spacing - 1)
@@ -101,7 +106,6 @@ class Train(wiring.Component):
         with m.If(self.served):
             m.d.pulse += [
                 count.eq(Mux(self.bank, lengths[1], lengths[0])),
-                small.eq(0),
                 spacing.eq(MIN_SPACING - 2),
             ]
 

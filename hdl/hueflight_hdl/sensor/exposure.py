@@ -113,9 +113,11 @@ class ExposureControl(wiring.Component):
 
         # periods follow each other without end; an exposure begins with one
         clock = Signal(16)
+        last = Signal(16)  # clock of a period
         period_ends = Signal()
         restart = Signal()
-        m.d.comb += period_ends.eq(clock + 1 >= settings.period)
+        m.d.sync += last.eq(Mux(settings.period == 0, 0, settings.period - 1))
+        m.d.comb += period_ends.eq(clock >= last)
         m.d.sync += clock.eq(Mux(period_ends | restart, 0, clock + 1))
         begins = Signal()  # this is the first clock of a period
         m.d.sync += begins.eq(period_ends | restart)

@@ -28,7 +28,7 @@ SYNTHETIC_LAYOUT = data.StructLayout(
 SEEDS = tuple((0x9E37_79B9 * lane) & 0xFFFF_FFFF for lane in range(8))
 """What tells the lanes' generators apart: multiples of 2^32 over the golden ratio."""
 
-LATENCY = 6
+LATENCY = 7
 
 
 class SyntheticSensor(wiring.Component):
@@ -156,8 +156,10 @@ class SyntheticSensor(wiring.Component):
         )
         cell_port = cells.read_port()
         m.d.comb += cell_port.addr.eq(block)
+        # one step a clock: block memories are slow
+        cell2 = Signal(cell)
         shift = Signal(form.code_bits)
-        m.d.sync += shift.eq(cell_port.data.depth + delay)
+        m.d.sync += [cell2.eq(cell_port.data), shift.eq(cell2.depth + delay)]
 
         codes: list[Value] = []
         for lane, generator in enumerate(state):
@@ -168,22 +170,21 @@ class SyntheticSensor(wiring.Component):
             )
             m.submodules[f"outcomes{lane}"] = outcomes
             port = outcomes.read_port()
-            drawn = _delayed(m, generator[:8], 8, 1)
-            m.d.comb += port.addr.eq(Cat(drawn, cell_port.data.material))
+            drawn = _delayed(m, generator[:8], 8, 2)
+            m.d.comb += port.addr.eq(Cat(drawn, cell2.material))
             jitter = generator[8 : 8 + JITTER_BITS] + generator[16 : 16 + JITTER_BITS]
-            late = _delayed(m, jitter, JITTER_BITS + 1, 2)
-            # one step a clock: block memories are slow
-            drawn3, moved3 = Signal(form.code_bits), Signal(form.code_bits)
-            code4, dark4 = Signal(form.code_bits), Signal()
-            code5 = Signal(form.code_bits, name=f"scene_code{lane}")
+            late = _delayed(m, jitter, JITTER_BITS + 1, 3)
+            drawn4, moved4 = Signal(form.code_bits), Signal(form.code_bits)
+            code5, dark5 = Signal(form.code_bits), Signal()
+            code6 = Signal(form.code_bits, name=f"scene_code{lane}")
             m.d.sync += [
-                drawn3.eq(port.data),
-                moved3.eq(shift + late),
-                code4.eq(drawn3 - moved3),
-                dark4.eq(drawn3 == 0),
-                code5.eq(Mux(dark4, 0, Mux(code4 == 0, -1, code4))),
+                drawn4.eq(port.data),
+                moved4.eq(shift + late),
+                code5.eq(drawn4 - moved4),
+                dark5.eq(drawn4 == 0),
+                code6.eq(Mux(dark5, 0, Mux(code5 == 0, -1, code5))),
             ]
-            codes.append(code5)
+            codes.append(code6)
         return codes
 
 

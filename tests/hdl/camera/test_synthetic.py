@@ -9,7 +9,7 @@ from amaranth.sim import Simulator
 from hueflight_hdl.frame.format import FormatError, FrameFormat
 from hueflight_hdl.sensor.model import synthetic_frames
 from hueflight_hdl.sensor.scene import Scene, default_scene
-from hueflight_hdl.sensor.synthetic import SyntheticSensor
+from hueflight_hdl.sensor.synthetic import LATENCY, SyntheticSensor
 from hueflight_protocol.camera_map import SyntheticSource
 
 FORMATS = [
@@ -39,7 +39,7 @@ def test_equals_model(form, source):
                 ctx.set(dut.port.read, 1)
                 await ctx.tick()
                 ctx.set(dut.port.read, 0)
-                await ctx.tick().repeat(form.beats + 6)
+                await ctx.tick().repeat(form.beats + LATENCY)
 
     async def formatter(ctx):
         beats = dut.port.beats

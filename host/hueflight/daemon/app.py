@@ -73,7 +73,7 @@ def make_app(
             hub: Hub | None = state.get("hub")
             if hub is None or not service.viewers:
                 return  # nobody looks: spare the work
-            message = encode_picture(picture)
+            message = encode_picture(picture, service.palette)
             loop.call_soon_threadsafe(hub.publish, picture, message)
 
         service = await run_in_threadpool(

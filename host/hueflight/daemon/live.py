@@ -81,7 +81,8 @@ class Hub:
         try:
             latest = self._service.pictures.latest
             if latest is not None and latest.number != self._number:
-                self.publish(latest, await asyncio.to_thread(encode_picture, latest))
+                message = await asyncio.to_thread(encode_picture, latest, self._service.palette)
+                self.publish(latest, message)
             elif self._message:
                 viewer.offer(self._number, self._message)
             await viewer.run(self)

@@ -22,6 +22,7 @@ from hueflight.daemon.calibrating import Calibrating
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.delays import Latencies
 from hueflight.daemon.files import FileNameError, Folder, timestamp_name
+from hueflight.daemon.palette import Palette
 from hueflight.daemon.pictures import Picture, Pictures
 from hueflight.daemon.rates import Rates
 from hueflight.devices.lights import GUIDANCE, CaptureKind
@@ -58,6 +59,7 @@ class Service:
         self.folder = Folder(config.folder / "recordings")
         self.rates = Rates()
         self.latencies = Latencies()
+        self.palette = Palette(instrument)
         self.started_s = time.monotonic()
         self.viewers = 0
         self._lock = threading.Lock()
@@ -103,6 +105,7 @@ class Service:
 
     def _use(self, calibration: Calibration) -> None:
         calibration.require(self.instrument)
+        self.palette = Palette(self.instrument, calibration.emission)
         self.pictures.calibration = calibration
 
     # -- commands -----------------------------------------------------------------------------

@@ -14,18 +14,20 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.daemon.palette import Palette
 from hueflight.daemon.pictures import Picture
 
 NOT_KNOWN = 65535  #: of 16-bit planes
 _TOP_PERCENT = 99.0  #: of a band's pixels fit its scale
 
 
-def encode_picture(picture: Picture, /) -> bytes:
+def encode_picture(picture: Picture, palette: Palette, /) -> bytes:
     """The message of a picture.
 
     Planes are ``depth`` and ``depth_std`` (uint16, metres = value · scale), ``bands`` (uint8,
-    (band, row, col), reflectance = top[band] · (value/255)²), ``photons`` (uint16, clipped) and
-    ``quality`` (uint8, bits of `Quality`). Without a calibration there are only photons.
+    (band, row, col), reflectance = top[band] · (value/255)²), ``colours`` (uint8, (row, col, 3),
+    sRGB from all bands, if they can tell colours), ``photons`` (uint16, clipped) and ``quality``
+    (uint8, bits of `Quality`). Without a calibration there are only photons.
     """
     planes: list[tuple[str, NDArray[Any]]] = [
         ("photons", np.minimum(picture.photons, NOT_KNOWN).astype("<u2"))
@@ -49,6 +51,9 @@ def encode_picture(picture: Picture, /) -> bytes:
         coded, tops = _for_the_eye(cube)
         header["tops"] = tops
         planes.append(("bands", coded))
+        colours = palette.colours(image)
+        if colours is not None:
+            planes.append(("colours", colours))
         planes.append(("quality", image["quality"].values.astype(np.uint8)))
     return _message(header, planes)
 

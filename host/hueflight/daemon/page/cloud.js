@@ -5,6 +5,8 @@ import { Textures, context, fit, program } from "./gl.js";
 const VERTEX = `
 uniform highp usampler2D depth, quality;
 uniform highp sampler2DArray bands;
+uniform sampler2D colours;
+uniform bool three;         // three bands as red, green and blue
 uniform ivec3 rgb;
 uniform ivec2 size;
 uniform float unit;         // metres per step of depth
@@ -21,9 +23,9 @@ void main() {
   vec2 side = (vec2(at) / vec2(max(size - 1, 1)) * 2.0 - 1.0) * slopes * z;
   gl_Position = camera * vec4(side.x, -side.y, middle - z, 1.0);
   gl_PointSize = clamp(dot * z / gl_Position.w, 1.0, 24.0);
-  shade = vec3(
+  shade = three ? vec3(
     texelFetch(bands, ivec3(at, rgb.r), 0).r, texelFetch(bands, ivec3(at, rgb.g), 0).r,
-    texelFetch(bands, ivec3(at, rgb.b), 0).r);
+    texelFetch(bands, ivec3(at, rgb.b), 0).r) : texelFetch(colours, at, 0).rgb;
 }`;
 
 const FRAGMENT = `
@@ -63,7 +65,7 @@ export class Cloud {
     this.away = Math.max(0.25, Math.min(4, this.away * factor));
   }
 
-  draw({ rgb, range, slopes }) {
+  draw({ rgb, three, range, slopes }) {
     fit(this.canvas);
     const { gl, canvas, picture } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -77,6 +79,7 @@ export class Cloud {
     this.textures.use(this.program);
     const { uniforms } = this.program;
     gl.uniform3i(uniforms.rgb, ...rgb);
+    gl.uniform1i(uniforms.three, three ? 1 : 0);
     gl.uniform2i(uniforms.size, picture.cols, picture.rows);
     gl.uniform1f(uniforms.unit, unit);
     gl.uniform2f(uniforms.slopes, ...slopes.map(Math.abs));

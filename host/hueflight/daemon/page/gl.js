@@ -32,7 +32,7 @@ export function program(gl, vertex, fragment) {
 export class Textures {
   constructor(gl) {
     this.gl = gl;
-    this.names = ["depth", "photons", "quality", "bands", "map"];
+    this.names = ["depth", "photons", "quality", "bands", "colours", "map"];
     this.textures = Object.fromEntries(this.names.map((name) => [name, gl.createTexture()]));
   }
 
@@ -71,6 +71,8 @@ export class Textures {
       this.#bind("bands"), 0, gl.R8, cols, rows, bands.length / (rows * cols), 0, gl.RED,
       gl.UNSIGNED_BYTE, bands,
     );
+    const colours = planes.colours ?? new Uint8Array(3 * rows * cols);
+    gl.texImage2D(this.#bind("colours"), 0, gl.RGB8, cols, rows, 0, gl.RGB, gl.UNSIGNED_BYTE, colours);
   }
 
   use({ uniforms }) {

@@ -80,12 +80,13 @@ function draw() {
   state.drawn = true;
   const { bands, slope_right, slope_down } = state.instrument;
   const rgb = rgbBands(bands);
+  const three = $("three").checked || !state.picture?.planes.colours;
   const calibrated = Boolean(state.picture?.planes.depth);
   const view = calibrated ? state.view : "photons";
   if (state.view === "points" && calibrated) {
-    cloud.draw({ rgb, range: rangeOf("depth"), slopes: [slope_right, slope_down] });
+    cloud.draw({ rgb, three, range: rangeOf("depth"), slopes: [slope_right, slope_down] });
   } else {
-    plane.draw({ view, bands, rgb, range: rangeOf(view) });
+    plane.draw({ view, bands, rgb, three, range: rangeOf(view) });
   }
   $("hint").hidden = calibrated || !state.picture;
   $("hint").textContent = hint();
@@ -129,6 +130,8 @@ function showAge() {
 
 function showBar(view) {
   const bar = document.querySelector(".bar");
+  const coloured = view === "colour" || view === "points";
+  $("three-label").hidden = !coloured || !state.picture?.planes.colours;
   const shown = view === "depth" || view === "photons";
   bar.classList.toggle("off", !shown);
   if (!shown) return;
@@ -428,6 +431,7 @@ function begin() {
     if ($("calibrate-dialog").returnValue === "go") beginCalibration();
   });
   $("calibrate-cancel").addEventListener("click", () => $("calibrate-dialog").close("cancel"));
+  $("three").addEventListener("change", redraw);
   document.addEventListener("keydown", onKey);
   watchPointer($("view"));
   new ResizeObserver(() => {

@@ -14,7 +14,8 @@ void main() {
 const FRAGMENT = `
 uniform highp usampler2D depth, photons;
 uniform highp sampler2DArray bands;
-uniform sampler2D map;
+uniform sampler2D map, colours;
+uniform bool three;         // three bands as red, green and blue
 uniform int view;           // 0 depth, 1 colour, 2 one band, 3 photons
 uniform int band;
 uniform ivec3 rgb;
@@ -31,6 +32,8 @@ void main() {
     if (value == 65535u && view == 0) { colour = NOTHING; return; }
     float share = clamp((float(value) - range.x) / max(range.y - range.x, 1e-6), 0.0, 1.0);
     colour = texture(map, vec2((share * 255.0 + 0.5) / 256.0, 0.5));
+  } else if (view == 1 && !three) {
+    colour = texelFetch(colours, at, 0);
   } else if (view == 1) {
     colour = vec4(
       texelFetch(bands, ivec3(at, rgb.r), 0).r, texelFetch(bands, ivec3(at, rgb.g), 0).r,
@@ -68,7 +71,7 @@ export class Plane {
     ]);
   }
 
-  draw({ view, bands, rgb, range }) {
+  draw({ view, bands, rgb, three, range }) {
     fit(this.canvas);
     const { gl, canvas, picture } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -81,6 +84,7 @@ export class Plane {
     gl.uniform1i(uniforms.view, VIEWS[view] ?? 0);
     gl.uniform2f(uniforms.range, range[0], range[1]);
     gl.uniform3i(uniforms.rgb, ...rgb);
+    gl.uniform1i(uniforms.three, three ? 1 : 0);
     gl.uniform2i(uniforms.size, picture.cols, picture.rows);
     if (view !== "bands") {
       gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);

@@ -6,12 +6,14 @@ the rig goes away, it is looked for until it is back; the gap is marked and the 
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -36,6 +38,7 @@ SILENCE_S = 2.0  #: without a byte in a run, ask the camera whether it is still 
 KEEP_ALIVE_S = 0.3
 DRAIN_S = 2.0  #: longest time to read what an earlier run has left in the stream
 GAPS_KEPT = 100
+NICENESS = -10  #: of acquisition and recording, where the system allows it
 FORGOTTEN = "the camera has forgotten its run: it lost power or was reset"
 
 
@@ -121,6 +124,9 @@ class Acquisition:
     # -- the acquisition thread ---------------------------------------------------------------
 
     def _work(self) -> None:
+        with suppress(OSError):  # without the right to it, priorities stay equal
+            # the recorder's thread, begun from this one, inherits it
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         while not self._closing:
             try:
                 self._step()

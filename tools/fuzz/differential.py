@@ -113,9 +113,12 @@ def random_stream(rng: np.random.Generator) -> tuple[bytes, Geometry]:
     rows, cols = rng.integers(1, 20, 2).tolist()
     code_bits = int(rng.integers(1, 11))
     packets = []
+    gated, base = rng.random() < 0.3, int(rng.integers(1 << code_bits))
     for i in range(rng.integers(1, 6)):
         codes = rng.integers(0, 1 << code_bits, (rows, cols))
-        codes[rng.random(codes.shape) >= rng.choice([0.0, 0.1, 0.5, 0.95, 1.0])] = 0
+        if gated:
+            codes = (base + codes % 24) % (1 << code_bits)
+        codes[rng.random(codes.shape) >= rng.choice([0.0, 0.04, 0.1, 0.5, 0.95, 1.0])] = 0
         packets.append(
             encode_frame(
                 codes,

@@ -12,7 +12,10 @@ enum {
     AHEAD = 8,    /* frames whose hits are fetched ahead */
     FETCH_MOST = 1 << 18, /* bytes of rows that are fetched ahead: half of a small second cache */
     SLACK = 8,    /* bytes that may be read behind a payload: its packet's trailer is longer */
-    MOST_FRAMES = 65535 /* what a tile's counters hold */
+    MOST_FRAMES = 65535, /* what a tile's counters hold */
+    NARROW = 32,    /* codes of a narrow tile: a cache line for each pixel */
+    FEW = 16,       /* a narrow tile is for one pixel in so many with a photon */
+    GUESS = 64      /* hits by which a narrow tile is placed */
 };
 
 typedef struct { const uint8_t *bits, *codes; uint16_t hits, used; } Sparse;
@@ -33,13 +36,15 @@ struct Count {
     int mode;
     uint8_t *done;   /* (tile,): tiles whose counts are in `out`; others only are added */
     uint16_t *tile, *rows[TILE]; /* counters of the pixels at hand; where each pixel's begin */
+    uint16_t *narrow; /* (pixel of a chunk, NARROW) */
+    int spread;       /* codes were found not to fit a narrow tile */
     const uint8_t **dense;
-    Sparse *sparse;
+    Sparse *sparse, *ordered;
     Piece *found, *sorted;
     size_t dense_count, sparse_count;
     uint64_t photons, clipped;
     size_t pending;
-    void (*put)(Count *, size_t first, unsigned pixels, int touched, uint8_t *done);
+    void (*put)(Count *, Seen, size_t first, unsigned pixels, uint8_t *done);
 };
 
 /* The codes from bit `at` of p on, as many as one load gives. */
@@ -101,33 +106,32 @@ INLINE void count_sparse(uint16_t *const *rows, uint64_t map, const uint8_t *p, 
 }
 
 /* Add a tile to the table and clear it. */
-INLINE void put_tile(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
+INLINE void put_tile(Count *count, Seen seen, size_t first, unsigned pixels, uint8_t *done)
 {
     const size_t codes = (size_t)1 << count->code_bits;
-    const size_t used = touched ? codes : 1; /* counters that may differ from 0 */
     if ((count->mode == SUBTRACT) == *done) {
         int put = count->wide
-            ? put_uint32_t((uint32_t *)count->out + first * codes, count->tile, pixels, codes, used,
+            ? put_uint32_t((uint32_t *)count->out + first * codes, &seen, pixels, codes,
                            count->frames, count->mode, &count->photons, &count->clipped)
-            : put_uint16_t((uint16_t *)count->out + first * codes, count->tile, pixels, codes, used,
+            : put_uint16_t((uint16_t *)count->out + first * codes, &seen, pixels, codes,
                            count->frames, count->mode, &count->photons, &count->clipped);
         count->pending += !put;
         if (put)
             *done = count->mode != SUBTRACT;
     }
-    for (unsigned pixel = 0; touched && pixel < pixels; pixel++)
-        memset(count->tile + pixel * (codes + SPARE), 0, codes * sizeof *count->tile);
+    for (unsigned pixel = 0; seen.to && pixel < pixels; pixel++)
+        memset(seen.at + pixel * seen.stride, 0, (seen.to - seen.from) * sizeof *seen.at);
 }
 
-static void put_plain(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
+static void put_plain(Count *count, Seen seen, size_t first, unsigned pixels, uint8_t *done)
 {
-    put_tile(count, first, pixels, touched, done);
+    put_tile(count, seen, first, pixels, done);
 }
 #ifdef X86_DISPATCH
 __attribute__((target("avx2")))
-static void put_with_avx2(Count *count, size_t first, unsigned pixels, int touched, uint8_t *done)
+static void put_with_avx2(Count *count, Seen seen, size_t first, unsigned pixels, uint8_t *done)
 {
-    put_tile(count, first, pixels, touched, done);
+    put_tile(count, seen, first, pixels, done);
 }
 #endif
 
@@ -228,6 +232,119 @@ INLINE unsigned count_sparse_tile(Count *count, size_t first, unsigned at, unsig
     return (unsigned)(count->sparse_count - place[0]);
 }
 
+/* Where a narrow tile should begin so that it holds the codes of the first hits with some room
+ * before them, or -1 if it can't. */
+INLINE int narrow_from(const Count *count, const unsigned bits, const int fast)
+{
+    size_t least = (size_t)1 << bits, most = 0, seen = 0;
+    for (size_t i = 0; i < count->sparse_count && seen < GUESS; i++)
+        for (unsigned hit = 0; hit < count->sparse[i].hits && seen < GUESS; hit++, seen++) {
+            uint64_t codes = codes_at(count->sparse[i].codes, (size_t)hit * bits);
+            size_t code = field(codes, 0, bits, fast);
+            least = code < least ? code : least;
+            most = code > most ? code : most;
+        }
+    if (!seen || most - least >= NARROW)
+        return -1;
+    const size_t room = (NARROW - 1 - (most - least)) / 2;
+    return (int)(least > room ? (least - room) & ~(size_t)7 : 0);
+}
+
+/* Order the frames by hits, so that loops over them have a constant length for long; 0 if one has
+ * more than `few`. */
+INLINE int order_by_hits(Count *count, unsigned few)
+{
+    uint32_t place[MAX_RUN / FEW + 2] = {0};
+    for (size_t i = 0; i < count->sparse_count; i++) {
+        if (count->sparse[i].hits > few)
+            return 0;
+        place[count->sparse[i].hits]++;
+    }
+    uint32_t total = 0;
+    for (unsigned hits = 0; hits <= few; hits++) {
+        uint32_t here = place[hits];
+        place[hits] = total;
+        total += here;
+    }
+    for (size_t i = 0; i < count->sparse_count; i++)
+        count->ordered[place[count->sparse[i].hits]++] = count->sparse[i];
+    return 1;
+}
+
+/* Write down the pixels of a bitmap word's ones, in order; how many there are. Four are written
+ * whatever the word has, since guessing how many it has goes wrong too often. */
+INLINE unsigned pixels_of(uint64_t map, unsigned first, uint16_t *found)
+{
+    const uint64_t top = (uint64_t)1 << 63;
+    const unsigned ones = POPCOUNT(map);
+    for (unsigned i = 0; i < 4; i++, map &= map - 1) {
+        found[i] = (uint16_t)(first + LOWEST_BIT(map | top));
+        ONE_BY_ONE();
+    }
+    for (unsigned i = 4; i < ones; i++, map &= map - 1)
+        found[i] = (uint16_t)(first + LOWEST_BIT(map));
+    return ones;
+}
+
+INLINE size_t count_near(uint16_t *narrow, unsigned pixel, size_t code)
+{
+    narrow[pixel * NARROW + code % NARROW]++;
+    return code;
+}
+
+/* Count a chunk with few hits whose codes lie close together, as behind a gate: the counters of
+ * such codes of all its pixels stay in the first cache, and only they go to the table. 0 if a code
+ * turned out to lie elsewhere; nothing is counted then. */
+INLINE int count_narrow(Count *count, unsigned pixels, size_t from, const unsigned bits,
+                        const int fast)
+{
+    const unsigned per_load = 57 / bits < 8 ? 57 / bits : 8, whole = pixels & ~63u;
+    const uint64_t rest = ((uint64_t)1 << pixels % 64) - 1;
+    uint16_t pixel[MAX_RUN + 4];
+    size_t spread = 0;
+    for (size_t i = 0; i < count->sparse_count; i++) {
+        const Sparse *sparse = &count->ordered[i];
+        if (i + AHEAD < count->sparse_count) {
+            PREFETCH_NOW(sparse[AHEAD].bits);
+            PREFETCH_NOW(sparse[AHEAD].codes);
+        }
+        unsigned hits = 0;
+        for (unsigned first = 0; first < whole; first += 64)
+            hits += pixels_of(load64(sparse->bits + first / 8), first, pixel + hits);
+        if (rest)
+            hits += pixels_of(load64(sparse->bits + whole / 8) & rest, whole, pixel + hits);
+        hits = hits < sparse->hits ? hits : sparse->hits;
+        const uint16_t *at = pixel;
+        const uint8_t *p = sparse->codes;
+        size_t bit = 0;
+        for (; hits >= per_load; hits -= per_load, bit += per_load * bits) {
+            uint64_t codes = codes_at(p, bit);
+#pragma GCC unroll 8
+            for (unsigned hit = 0; hit < per_load; hit++) {
+                const size_t code = field(codes, hit * bits, bits, fast) - from;
+                spread |= count_near(count->narrow, *at++, code);
+            }
+        }
+        uint64_t codes = hits ? codes_at(p, bit) : 0;
+        for (; hits; hits--, codes >>= bits)
+            spread |= count_near(count->narrow, *at++, field(codes, 0, bits, fast) - from);
+    }
+    if (spread < NARROW)
+        return 1;
+    memset(count->narrow, 0, pixels * NARROW * sizeof *count->narrow);
+    return 0;
+}
+
+INLINE int put_narrow(Count *count, size_t first, unsigned pixels, size_t from, uint8_t *done)
+{
+    const size_t codes = (size_t)1 << count->code_bits;
+    const size_t to = from + NARROW < codes ? from + NARROW : codes;
+    for (unsigned at = 0; at < pixels; at += TILE)
+        count->put(count, (Seen){count->narrow + at * NARROW, NARROW, from, to}, first + at,
+                   pixels - at < TILE ? pixels - at : TILE, done++);
+    return 1;
+}
+
 INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const int fast)
 {
     size_t first = chunk * count->run, left = count->pixels - first;
@@ -235,6 +352,14 @@ INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const in
     if (!sort_chunk(count, chunk, &shape))
         return 0;
     uint8_t *done = count->done + chunk * ((count->run + TILE - 1) / TILE);
+    if (count->sparse_count && !count->dense_count && !count->spread) {
+        int from = narrow_from(count, bits, fast);
+        if (from >= 0 && order_by_hits(count, shape.pixels / FEW + 1)) {
+            if (count_narrow(count, shape.pixels, (size_t)from, bits, fast))
+                return put_narrow(count, first, shape.pixels, (size_t)from, done);
+            count->spread = 1; /* the next chunks' codes will hardly be closer */
+        }
+    }
     for (unsigned at = 0; at < shape.pixels; at += TILE, done++) {
         unsigned pixels = shape.pixels - at < TILE ? shape.pixels - at : TILE;
         int touched = count->dense_count > 0;
@@ -244,7 +369,8 @@ INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const in
             count_dense_tile(count, first, at, pixels, bits, fast);
         if (count->sparse_count)
             touched |= count_sparse_tile(count, first, at, pixels, bits, fast) > 0;
-        count->put(count, first + at, pixels, touched, done);
+        count->put(count, (Seen){count->tile, ((size_t)1 << bits) + SPARE, 0,
+                                 touched ? (size_t)1 << bits : 0}, first + at, pixels, done);
     }
     return 1;
 }
@@ -286,21 +412,27 @@ static int count_chunks(Count *count, size_t begin, size_t end)
     const size_t stride = ((size_t)1 << count->code_bits) + SPARE;
     const size_t rows = count->pixels < TILE ? count->pixels : TILE;
     count->tile = calloc(rows * stride, sizeof(uint16_t));
+    count->narrow = calloc((count->run < count->pixels ? count->run : count->pixels) * NARROW,
+                           sizeof(uint16_t));
     count->dense = malloc(room * sizeof *count->dense);
     count->sparse = malloc(room * sizeof *count->sparse);
+    count->ordered = malloc(room * sizeof *count->ordered);
     count->found = malloc(room * sizeof *count->found);
     count->sorted = malloc(room * sizeof *count->sorted);
     for (size_t row = 0; count->tile && row < rows; row++)
         count->rows[row] = count->tile + row * stride;
-    if (count->tile && count->dense && count->sparse && count->found && count->sorted) {
+    if (count->tile && count->narrow && count->dense && count->sparse && count->ordered
+        && count->found && count->sorted) {
         result = OK;
         for (size_t chunk = begin; result == OK && chunk < end; chunk++)
             if (!one(count, chunk))
                 result = BAD_CHUNK;
     }
     free(count->tile);
+    free(count->narrow);
     free(count->dense);
     free(count->sparse);
+    free(count->ordered);
     free(count->found);
     free(count->sorted);
     return result;

@@ -18,6 +18,7 @@
 #define PREFETCH_NOW(p) __builtin_prefetch(p)       /* into the first cache, for soon */
 #define PREFETCH(p) __builtin_prefetch(p, 0, 2) /* into the second, for later */
 #define PREFETCH_ROW(p) __builtin_prefetch(p, 1, 2) /* there, to be written to */
+#define ONE_BY_ONE() __asm__("" : : : "memory") /* no joining of what is stored before and after */
 #define LOWEST_BIT(m) ((unsigned)__builtin_ctzll(m))
 #define POPCOUNT(m) ((unsigned)__builtin_popcountll(m))
 

@@ -7,6 +7,7 @@ it was built; ``HUEFLIGHT_KERNELS=numpy`` or ``=c`` chooses by hand.
 from __future__ import annotations
 
 import os
+from functools import cache
 from importlib import import_module
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -161,6 +162,11 @@ def available() -> dict[str, Kernels]:
     return found
 
 
+@cache  # checking takes longer than counting an empty frame
+def _fastest() -> Kernels:
+    return _compiled() or cast("Kernels", numpy_kernels)
+
+
 def choose(name: str | None = None, /) -> Kernels:
     """The backend called `name`; by default what ``HUEFLIGHT_KERNELS`` says, else the fastest.
 
@@ -172,9 +178,9 @@ def choose(name: str | None = None, /) -> Kernels:
     name = name or os.environ.get("HUEFLIGHT_KERNELS") or None
     if name == "numpy":
         return cast("Kernels", numpy_kernels)
-    found = available()
     if name is None:
-        return found.get("c", found["numpy"])
+        return _fastest()
+    found = available()
     if name not in found:
         raise IngestError(f"no kernels {name!r} here: there are {', '.join(sorted(found))}")
     return found[name]

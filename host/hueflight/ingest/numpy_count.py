@@ -17,7 +17,7 @@ from hueflight_protocol.wire import ChunkKind, dense_bytes
 
 TILE = 64  # pixels that are added to the table together or not at all
 SLACK = 8  # bytes that may be read behind a payload: its packet's trailer is longer
-AT_ONCE = 1 << 16  # pixels whose bitmaps are unpacked at once: few enough for the cache
+AT_ONCE = 1 << 17  # pixels whose bitmaps are unpacked at once: few enough for the cache
 ADD, STORE, SATURATE, SUBTRACT = range(4)
 
 _Ints = NDArray[np.intp]
@@ -73,8 +73,8 @@ def count(
     for chunk in range(begin, end):
         first = chunk * run
         size = min(run, pixels - first)
-        seen, coded = _count_chunk(octets, entries[chunk, chosen], size, code_bits, space)
-        here = coded - seen[:, 0]
+        seen = _count_chunk(octets, entries[chunk, chosen], size, code_bits, space)
+        here = seen[:, 1:].sum(axis=1, dtype=np.uint16)  # exact: no more than frames
         seen[:, 0] = chosen.size - here
         for tile, at in enumerate(range(0, size, TILE)):
             part = slice(at, min(at + TILE, size))
@@ -87,7 +87,7 @@ def count(
                 continue
             marks[chunk, tile] = mode != SUBTRACT
             clipped += more
-            photons += int(here[part].sum())
+            photons += int(here[part].sum(dtype=np.intp))
     return photons, clipped, left
 
 
@@ -99,15 +99,15 @@ def _put(
         rows[...] = seen
     elif mode == SUBTRACT:
         rows -= seen
-    elif mode == SATURATE:
-        taken = np.minimum(seen, rows.dtype.type(np.iinfo(rows.dtype).max) - rows)
-        rows += taken
-        return int((seen - taken).sum(dtype=np.intp)), False
     else:
         rows += seen
         if (rows < seen).any():
             rows -= seen
-            return 0, True
+            if mode == ADD:
+                return 0, True
+            taken = np.minimum(seen, rows.dtype.type(np.iinfo(rows.dtype).max) - rows)
+            rows += taken
+            return int((seen - taken).sum(dtype=np.intp)), False
     return 0, False
 
 
@@ -117,8 +117,8 @@ def _count_chunk(
     pixels: int,
     code_bits: int,
     space: NDArray[np.uint64],
-) -> tuple[NDArray[np.uint16], NDArray[np.intp]]:
-    """Counts (pixel, code) of one chunk over all frames, and how many codes each pixel had."""
+) -> NDArray[np.uint16]:
+    """Counts (pixel, code) of one chunk over all frames; of code 0, those that were sent."""
     offset = (entries & np.uint64(0xFFFF_FFFF)).astype(np.intp)
     hits = (entries >> np.uint64(HITS_SHIFT) & np.uint64(0xFFFF)).astype(np.intp)
     kind = (entries >> np.uint64(KIND_SHIFT)).astype(np.intp)
@@ -131,14 +131,14 @@ def _count_chunk(
         or (offset + payload + SLACK > octets.size)[dense | sparse].any()
     ):
         raise ValueError("count: a chunk lies outside the data")
-    seen = np.zeros((pixels, 1 << code_bits), np.uint16)
-    coded = np.zeros(pixels, np.intp)
+    spare = 8 + -pixels % 8  # see `_locate`
+    counts = np.zeros((pixels + spare, 1 << code_bits), np.uint16)
+    seen = counts[:pixels]
     if dense.any():
         _count_dense(octets, offset[dense], code_bits, seen, space)
-        coded += np.count_nonzero(dense)
     if sparse.any():
-        _count_sparse(octets, offset[sparse], hits[sparse], code_bits, seen, coded)
-    return seen, coded
+        _count_sparse(octets, offset[sparse], hits[sparse], code_bits, pixels, counts)
+    return seen
 
 
 def _words(octets: NDArray[np.uint8], size: int) -> NDArray[np.unsignedinteger[Any]]:
@@ -164,20 +164,18 @@ def _count_dense(
         heads, tails, index = (part[: len(offset) * groups].reshape(-1, groups) for part in space)
         _load(octets, offset, code_bits, heads)
         _load(octets, offset + behind, code_bits, tails)
-        base = np.arange(groups, dtype=np.uint64) * np.uint64(codes)
-        lanes = seen[: 8 * groups].reshape(groups, 8, codes)
+        base = np.arange(groups, dtype=np.uint64) * np.uint64(8 * codes)
         for lane in range(8):
             whole = (lane + 1) * code_bits <= 64
             shift = lane * code_bits - (0 if whole else 8 * behind)
             np.right_shift(heads if whole else tails, np.uint64(shift), out=index)
             np.bitwise_and(index, mask, out=index)
             np.add(index, base, out=index)
-            counts = np.bincount(index.reshape(-1).view(np.int64), minlength=groups * codes)
-            lanes[:, lane] = counts.reshape(groups, codes)
+            np.add.at(seen[lane:].reshape(-1), index.reshape(-1).view(np.int64), np.uint16(1))
     for pixel in range(8 * groups, pixels):
         byte, shift = divmod(pixel * code_bits, 8)
         values = _words(octets, 4)[offset + byte] >> np.uint32(shift) & np.uint32(codes - 1)
-        seen[pixel] = np.bincount(values, minlength=codes)
+        np.add.at(seen[pixel], values, np.uint16(1))
 
 
 def _load(octets: NDArray[np.uint8], offset: _Ints, step: int, words: NDArray[np.uint64]) -> None:
@@ -195,35 +193,71 @@ def _count_sparse(
     offset: _Ints,
     hits: _Ints,
     code_bits: int,
-    seen: NDArray[np.uint16],
-    coded: _Ints,
+    pixels: int,
+    counts: NDArray[np.uint16],
 ) -> None:
     """Add bitmap payloads."""
-    pixels, codes = seen.shape
     map_bytes = -(-pixels // 8)
     together = max(1, AT_ONCE // pixels)
-    index = np.empty(int(hits.sum()), np.intp)
-    end = 0
+    rows = np.ndarray(octets.size - map_bytes, f"V{map_bytes + 1}", octets, strides=(1,))
     for at in range(0, len(offset), together):
         some = slice(at, at + together)
-        found = _locate(octets, offset[some], hits[some], pixels, code_bits, map_bytes)
-        index[end : end + found.size] = found
-        end += found.size
-    counts = np.bincount(index[:end], minlength=pixels * codes).reshape(pixels, codes)
-    seen += counts.astype(np.uint16)
-    coded += counts.sum(axis=1)
+        maps = rows[offset[some]].view(np.uint8).reshape(-1, map_bytes + 1)
+        maps[:, map_bytes - 1] &= 0xFF >> -pixels % 8
+        maps[:, map_bytes] = 0xFF >> 8 - -hits[some] % 8  # see `_locate`
+        ones = np.bitwise_count(maps[:, :map_bytes]).sum(axis=1, dtype=np.intp)
+        if (ones == hits[some]).all():
+            index = _locate(octets, offset[some], hits[some], maps, code_bits)
+        else:
+            index = _locate_slowly(octets, offset[some], hits[some], maps, pixels, code_bits)
+        np.add.at(counts.reshape(-1), index, np.uint16(1))
 
 
 def _locate(
     octets: NDArray[np.uint8],
     offset: _Ints,
     hits: _Ints,
+    maps: NDArray[np.uint8],
+    code_bits: int,
+) -> _Ints:
+    """Which counters (pixel × code) the hits of some frames belong to.
+
+    Eight codes are `code_bits` bytes, as in dense payloads. So that a frame's hits are a multiple
+    of eight, its bitmap has one byte more, with a one for each that is missing.
+    """
+    behind = max(code_bits - 8, 0)
+    groups = -(-hits // 8)
+    frame = np.repeat(np.arange(len(hits)), groups)
+    first = np.cumsum(groups) - groups
+    start = (offset + maps.shape[1] - 1 - code_bits * first)[frame]
+    start += code_bits * np.arange(frame.size)
+    words = _words(octets, 8)
+    last = len(words) - 1  # of a last group, only what is there is needed
+    heads = words[np.minimum(start, last)]
+    tails = words[np.minimum(start + behind, last)] if behind else heads
+    lanes = np.arange(8, dtype=np.uint64)[:, None] * np.uint64(code_bits)
+    whole = min(8, 64 // code_bits)  # codes that the first word holds
+    index = np.empty((8, frame.size), np.uint64)
+    np.right_shift(heads, lanes[:whole], out=index[:whole])
+    np.right_shift(tails, lanes[whole:] - np.uint64(8 * behind), out=index[whole:])
+    index &= np.uint64((1 << code_bits) - 1)
+    index -= (frame * (8 * maps.shape[1]) << code_bits).astype(np.uint64)
+    pixel = np.flatnonzero(np.unpackbits(maps, bitorder="little").view(np.bool_)).view(np.uint64)
+    pixel <<= np.uint64(code_bits)
+    index += pixel.reshape(-1, 8).T
+    return index.reshape(-1).view(np.intp)
+
+
+def _locate_slowly(
+    octets: NDArray[np.uint8],
+    offset: _Ints,
+    hits: _Ints,
+    maps: NDArray[np.uint8],
     pixels: int,
     code_bits: int,
-    map_bytes: int,
 ) -> _Ints:
-    """Which counters (pixel × code) the hits of some frames belong to."""
-    maps = octets[offset[:, None] + np.arange(map_bytes)]
+    """As `_locate`, of frames whose bitmaps contradict their hits."""
+    map_bytes = maps.shape[1] - 1
     bits = np.unpackbits(maps, axis=1, bitorder="little", count=pixels)
     ones = bits.sum(axis=1, dtype=np.intp)
     if (ones > hits).any():  # no more hits than the chunk's word says, whatever the bitmap says

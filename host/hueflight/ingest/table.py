@@ -94,8 +94,9 @@ class Table:
         self._cols, self._code_bits = cols, code_bits
         # a new table is only written to: zeros would be set twice
         self._unwritten = [] if out is not None else [(0, rows)]
-        fresh = np.empty(shape, np.uint16) if reuse is None else reuse
-        self.counts: Counts = fresh if out is None else out
+        if out is None:
+            out = np.empty(shape, np.uint16) if reuse is None else reuse
+        self.counts: Counts = out
         self.photons = 0
         self.clipped = 0
 

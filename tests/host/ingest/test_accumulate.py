@@ -225,6 +225,35 @@ def test_any_counter_may_be_full(
         assert report.photons == np.count_nonzero(codes)
 
 
+@pytest.mark.parametrize("first", [0, 1, 300, 500])
+@pytest.mark.parametrize("policy", ["saturate", "widen"])
+@pytest.mark.parametrize("elsewhere", [None, 0, 17])
+def test_codes_behind_a_gate(
+    kernels: Kernels, small: Make, counted: Make, first: int, policy: Any, elsewhere: int | None
+) -> None:
+    """Few photons, whose codes lie close together but for one in one frame."""
+    rng = np.random.default_rng(first)
+    instrument = small(rows=15, cols=16)  # the last tile of a chunk, and the last chunk, are short
+    codes = rng.integers(first, first + 12, (40, 15, 16)).astype(np.uint16)
+    codes[rng.random(codes.shape) >= 0.03] = 0
+    if elsewhere is not None:
+        codes[elsewhere, 7, 7] = 200
+    packets = b"".join(
+        encode_frame(frame, sequence=i, frame=i, timestamp=i, run=136)
+        for i, frame in enumerate(codes)
+    )
+    for least, kind in ((0, np.uint16), (65490, np.uint16), (2**31, np.uint32)):
+        out = rng.integers(least, least + 46, instrument.histogram_shape).astype(kind)
+        exact = out.astype(np.int64) + counted(codes, 9)
+        counts, report = accumulate(packets, instrument, out=out, overflow=policy, kernels=kernels)
+        most = exact.max() if policy == "widen" else np.iinfo(kind).max
+        np.testing.assert_array_equal(counts, np.minimum(exact, most))
+        assert report.clipped == exact.sum() - counts.sum(dtype=np.int64)
+        assert report.photons == np.count_nonzero(codes)
+    counts, _ = accumulate(packets, instrument, kernels=kernels)
+    np.testing.assert_array_equal(counts, counted(codes, 9))
+
+
 def test_32_bits_overflow_too(kernels: Kernels, nearly_full: Any) -> None:
     instrument, out, packets, _ = nearly_full
     wide = out.astype(np.uint32)

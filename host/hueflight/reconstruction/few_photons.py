@@ -4,7 +4,8 @@
    enough photons; then over neighbours of the same colour, so that it does not blur steps.
 2. *Pooling*: in circles that grow from round to round a pixel takes in the photons of neighbours
    that its pool so far does not contradict, in brightness and colour or in depth. Its pool is
-   closed as soon as it holds enough.
+   closed as soon as it holds enough. Pools that lack photons take their depth from a wider
+   circle, judged by all depths found.
 3. *Estimate*: delay by one step of scoring over the pool, amplitudes from its photons in the
    slots between pulses. A pixel that has enough photons of its own gets the joint fit.
 
@@ -17,7 +18,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, uniform_filter
+from scipy.ndimage import median_filter
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
@@ -26,16 +27,20 @@ from hueflight.reconstruction import joint
 from hueflight.reconstruction.image import Estimates
 from hueflight.reconstruction.pooling import (
     Floats,
-    Likeness,
-    Limits,
     Photons,
-    Pooled,
     in_parts,
     lag_likelihood,
     list_photons,
     pool,
-    scores,
-    slot_counts,
+)
+from hueflight.reconstruction.pools import (
+    LIMITS,
+    TINY,
+    Pools,
+    first_pools,
+    grown,
+    likeness,
+    slots_of,
 )
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.slots import Tables, tables_for
@@ -45,33 +50,7 @@ PILOT_PHOTONS = 300.0  #: in the square of the pilot
 PILOT_REACHES = (1, 2, 3, 4, 6, 9, 13)  #: squares of 2·reach + 1 pixels
 SIGHT_PHOTONS = 150.0  #: that neighbours of the same colour must hold to be better
 SIGHT_RADII = (3.0, 6.0)  #: of the rounds by colour alone, in pixels
-RADII = (1.5, 3.0, 6.0, 14.0)  #: of the rounds by colour and depth
-LIMITS = Limits(colour=10.0, depth_colour=15.0, depth=12.0)
 ENOUGH = 1000.0  #: photons that a pool is closed with
-PRIOR_PIXELS = 0.15  #: so many pixels of the image's mean count in every pool
-FLOOR = 0.01  #: of a pool's photons: least amplitude and background in the weights
-TINY = np.float32(1e-12)  #: keeps pools without a photon from dividing by 0
-STEP_PER_FWHM = 0.21  #: that scoring may move a delay by
-
-
-@dataclass(frozen=True, eq=False)
-class _Pools:
-    """What the pools of all pixels hold, (row, col) each.
-
-    Attributes
-    ----------
-    delays_ns, variances : of the delay.
-    slots : (slot, row, col) mean photons per pixel.
-    pixels, depth_pixels : so many that an equal-weight pool would hold as many.
-    information : on the delay, per ns².
-    """
-
-    delays_ns: Floats
-    variances: Floats
-    slots: Floats
-    pixels: Floats
-    depth_pixels: Floats
-    information: Floats
 
 
 def estimate(
@@ -116,7 +95,7 @@ def estimate(
     squares = in_parts(over_squares, sight.lags_ns.size, threads, threads)
     pilot = sight.delays(np.concatenate(squares, axis=-1))
     pilot = _sharpened(seen, pilot, sight, calibration.usable, tables, threads)
-    pools = _pools(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
+    pools = grown(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
     pooled = _in_metres(
         pools,
         own,
@@ -239,15 +218,15 @@ def _sharpened(
     threads: int,
 ) -> Floats:
     """Delay (row, col) over neighbours of the same colour instead of over squares."""
-    slots = _slots(seen, pilot, tables)
-    pools = _first_pools(slots, pilot, np.zeros_like(pilot), usable, threads)
+    slots = slots_of(seen, pilot, tables)
+    pools = first_pools(slots, pilot, np.zeros_like(pilot), usable, threads)
     active = np.ones(pilot.shape, bool)
     planes = np.concatenate(
         [np.moveaxis(sight.likelihood, -1, 0), slots.sum(axis=0, keepdims=True)]
     )
     for radius in SIGHT_RADII:
         last = radius == SIGHT_RADII[-1]
-        like = _likeness(pools, slots, usable, tables)
+        like = likeness(pools, slots, usable, tables)
         data, spectral = (planes, 0) if last else (slots, len(slots))
         found = pool(data, spectral, usable, active, like, radius, LIMITS, threads=threads)
         if last:
@@ -298,142 +277,11 @@ def _square_sums(
     return sums
 
 
-# -- pooling ----------------------------------------------------------------------------------
-
-
-def _pools(
-    seen: Photons,
-    pilot: Floats,
-    usable: NDArray[np.bool_],
-    tables: Tables,
-    search_ns: tuple[float, float],
-    enough: float,
-    threads: int,
-) -> _Pools:
-    """Pools of all pixels, each closed when it holds enough."""
-    slots = _slots(seen, pilot, tables)
-    ones = usable.astype(np.float32)
-    around = _box(np.concatenate([slots, ones[None]]), 4, threads)
-    score, information = _scored(seen, pilot, around[:-1] / np.maximum(around[-1], 1), tables)
-    data = np.concatenate([slots, np.stack([information, information * pilot + score, ones])])
-    pools = _first_pools(slots, pilot, _box(information[None], 2, threads)[0], usable, threads)
-    active = np.ones(pilot.shape, bool)
-    for radius in RADII:
-        like = _likeness(pools, slots, usable, tables)
-        found = pool(data, len(slots), usable, active, like, radius, LIMITS, threads=threads)
-        last = radius == RADII[-1]
-        pools, active = _closed(pools, active, found, tables, search_ns, enough, last=last)
-        if not active.any():
-            break
-    return pools
-
-
-def _slots(seen: Photons, delays_ns: Floats, tables: Tables) -> Floats:
-    """Photons (slot, row, col) of the pixels themselves."""
-    count = tables.bands + 1
-    found = slot_counts(seen, delays_ns.ravel(), tables.slots, tables.cells_per_ns, count)
-    return found.reshape(count, *delays_ns.shape)
-
-
-def _first_pools(
-    slots: Floats,
-    delays_ns: Floats,
-    information: Floats,
-    usable: NDArray[np.bool_],
-    threads: int,
-) -> _Pools:
-    """Pools to begin with: squares of three pixels."""
-    near = _box(np.concatenate([slots, usable[None].astype(np.float32)]), 1, threads)
-    return _Pools(
-        delays_ns=delays_ns,
-        variances=np.full(delays_ns.shape, np.inf, np.float32),
-        slots=near[:-1] / np.maximum(near[-1], 1),
-        pixels=near[-1],
-        depth_pixels=near[-1],
-        information=information,
-    )
-
-
-def _likeness(pools: _Pools, slots: Floats, usable: NDArray[np.bool_], tables: Tables) -> Likeness:
-    """What neighbours are judged by; the image's mean keeps empty pools from being sure."""
-    mean = slots.sum(axis=(1, 2)) / max(int(usable.sum()), 1)
-    prior = (tables.groups.T @ mean * PRIOR_PIXELS)[:, None, None]
-    groups = np.tensordot(tables.groups, pools.slots, axes=(0, 0))
-    means = (groups * pools.pixels + prior) / (pools.pixels + np.float32(PRIOR_PIXELS))
-    return Likeness(means, pools.delays_ns, pools.pixels, pools.information)
-
-
-def _scored(
-    seen: Photons, delays_ns: Floats, spectrum: Floats, tables: Tables
-) -> tuple[Floats, Floats]:
-    """Score and information (row, col) of the delays, given photons in slots around a pixel."""
-    total = spectrum.sum(axis=0)
-    unmixed = np.tensordot(tables.unmixing, spectrum, axes=(1, 0))
-    unmixed = np.maximum(unmixed, FLOOR * total + np.float32(1e-9))
-    amplitudes = np.moveaxis(unmixed[:-1], 0, -1).reshape(-1, tables.bands)
-    floors = (unmixed[-1] / np.float32(tables.period_ns)).ravel()
-    score, information = scores(
-        seen,
-        delays_ns.ravel(),
-        tables.shares,
-        tables.slopes,
-        tables.cells_per_ns,
-        amplitudes,
-        floors,
-    )
-    return score.reshape(delays_ns.shape), information.reshape(delays_ns.shape)
-
-
-def _closed(
-    pools: _Pools,
-    active: NDArray[np.bool_],
-    found: Pooled,
-    tables: Tables,
-    search_ns: tuple[float, float],
-    enough: float,
-    *,
-    last: bool,
-) -> tuple[_Pools, NDArray[np.bool_]]:
-    """Pools after a round, and which of them go on; those that close take their delay."""
-    *slots, information, moment, level = found.sums
-    weight = np.maximum(found.weight, TINY)
-    pixels = found.weight**2 / np.maximum(found.squares, TINY)
-    mean = np.stack(slots) / weight
-    level = np.maximum(level, TINY)
-    depth_pixels = level**2 / np.maximum(found.depth_squares, TINY)
-    closing = active & (last | (mean.sum(axis=0) * pixels >= enough))
-    step = moment / np.maximum(information, TINY) - pools.delays_ns
-    most_ns = STEP_PER_FWHM * tables.fwhm_ns
-    moved = pools.delays_ns + np.clip(step, -most_ns, most_ns)
-    moved = np.clip(moved, search_ns[0], search_ns[1])
-    # Σ w² I / (Σ w I)², for neighbours that tell about as much
-    variances = found.depth_squares / level / np.maximum(information, TINY)
-    after = _Pools(
-        delays_ns=np.where(closing, moved, pools.delays_ns).astype(np.float32),
-        variances=np.where(closing, variances, pools.variances),
-        slots=np.where(active, mean, pools.slots),
-        pixels=np.where(active, pixels, pools.pixels),
-        depth_pixels=np.where(active, depth_pixels, pools.depth_pixels),
-        information=np.where(active, information / level * depth_pixels, pools.information),
-    )
-    return after, active & ~closing
-
-
-def _box(values: Floats, reach: int, threads: int) -> Floats:
-    """Sums (plane, row, col) over squares."""
-    side = 2 * reach + 1
-
-    def some(stretch: tuple[int, int]) -> Floats:
-        return uniform_filter(values[slice(*stretch)], (0, side, side), mode="constant")
-
-    return np.concatenate(in_parts(some, len(values), threads, threads)) * np.float32(side**2)
-
-
 # -- image ------------------------------------------------------------------------------------
 
 
 def _in_metres(
-    pools: _Pools,
+    pools: Pools,
     own: Floats,
     frames: NDArray[np.float64] | None,
     calibration: Calibration,

@@ -112,35 +112,47 @@ INLINE int group(const Plan *plan, int before, int factor, const float *from, fl
     return made;
 }
 
-/* Sum of one pixel's counts; `full` tells whether a counter is at the end of its type. */
-INLINE double sum_counts(const Light *light, size_t pixel, int bins, uint8_t *full)
+/* Sums of one pixel's counts, of all and of those from `low` up to `high`; `full` tells whether a
+ * counter is at the end of its type. */
+INLINE void sum_counts(const Light *light, size_t pixel, int bins, int low, int high, double *all,
+                       double *lit, uint8_t *full)
 {
     const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
     Py_ssize_t by = light->bin_step;
+    double whole = 0, inside = 0;
     *full = 0;
     if (light->type == 'H' && (by == 2 || by == -2)) {
-        const uint16_t *low = (const uint16_t *)(by > 0 ? from : from + (bins - 1) * by);
-        uint32_t whole = 0;
+        const uint16_t *counts = (const uint16_t *)(by > 0 ? from : from + (bins - 1) * by);
+        int first = by > 0 ? low : bins - high, last = by > 0 ? high : bins - low;
+        uint32_t sum = 0, apart = 0;
         uint16_t most = 0;
         for (int i = 0; i < bins; i++) {
-            whole += low[i];
-            most = low[i] > most ? low[i] : most;
+            sum += counts[i];
+            most = counts[i] > most ? counts[i] : most;
         }
+        for (int i = 0; i < first; i++)
+            apart += counts[i];
+        for (int i = last; i < bins; i++)
+            apart += counts[i];
         *full = most == UINT16_MAX;
-        return whole;
-    }
-    double whole = 0;
-    for (int i = 0; i < bins; i++, from += by) {
-        if (light->type == 'H') {
-            whole += *(const uint16_t *)from;
-            *full |= *(const uint16_t *)from == UINT16_MAX;
-        } else if (light->type == 'I') {
-            whole += *(const uint32_t *)from;
-            *full |= *(const uint32_t *)from == UINT32_MAX;
-        } else
-            whole += (double)*(const float *)from;
-    }
-    return whole;
+        whole = sum;
+        inside = sum - apart;
+    } else
+        for (int i = 0; i < bins; i++, from += by) {
+            double count;
+            if (light->type == 'H') {
+                count = *(const uint16_t *)from;
+                *full |= *(const uint16_t *)from == UINT16_MAX;
+            } else if (light->type == 'I') {
+                count = *(const uint32_t *)from;
+                *full |= *(const uint32_t *)from == UINT32_MAX;
+            } else
+                count = (double)*(const float *)from;
+            whole += count;
+            inside += i >= low && i < high ? count : 0;
+        }
+    *all = whole;
+    *lit = inside;
 }
 
 /* e^x of numbers from 0 to 80, to 2 units in the last place. */

@@ -1,6 +1,6 @@
 /* The joint fit of a tile of pixels: counts at all bin widths, search, scoring, likelihood. */
 typedef struct {
-    float *delay, *deviation, *other, *amplitudes, *amplitude_std, *background;
+    double *delay, *deviation, *other, *amplitudes, *amplitude_std, *background;
     uint8_t *steps;
 } Results;
 
@@ -142,15 +142,15 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const int64_t *which,
         float low = local[p] + rules->low_ns, high = local[p] + rules->high_ns;
         delay = delay < low ? low : delay > high ? high : delay;
         variance *= 1 + (float)(plan->bands + 2) / totals[p];
-        results->delay[at] = delay - local[p];
-        results->deviation[at] = sqrtf(variance);
-        results->other[at] = others[p] - local[p];
-        results->background[at] = track->background;
+        results->delay[at] = (double)(delay - local[p]);
+        results->deviation[at] = (double)sqrtf(variance);
+        results->other[at] = (double)(others[p] - local[p]);
+        results->background[at] = (double)track->background;
         results->steps[at] = (uint8_t)track->steps;
         for (int k = 0; k < plan->bands; k++) {
-            results->amplitudes[at * (size_t)plan->bands + (size_t)k] = track->amplitudes[k];
-            results->amplitude_std[at * (size_t)plan->bands + (size_t)k]
-                = sqrtf(track->spread[k] + 0.5f);
+            size_t place = at * (size_t)plan->bands + (size_t)k;
+            results->amplitudes[place] = (double)track->amplitudes[k];
+            results->amplitude_std[place] = (double)sqrtf(track->spread[k] + 0.5f);
         }
     }
 }

@@ -133,49 +133,115 @@ static int light_of(const Py_buffer *held, const Py_buffer *which, Light *light)
     return 1;
 }
 
-/* fit(light, which, offsets, rates, integers, reals, sizes, tables..., results...): kernels.py. */
-static PyObject *py_fit(PyObject *self, PyObject *args)
-{
-    (void)self;
+/* What a call of Python holds while it runs. */
+typedef struct {
+    int count; /* of buffers that are held */
     Py_buffer held[BUFFERS];
-    PyObject *answer = NULL;
-    int count = hold(args, held, BUFFERS, LIGHT, DELAY);
     Light light;
-    if (count < BUFFERS || !light_of(&held[LIGHT], &held[WHICH], &light))
-        goto done;
+    const int64_t *which;
+    size_t pixels;
+    char *block; /* of scratch memory */
+} Call;
+
+static int begin(Call *call, PyObject *args, int wanted, int other, int written)
+{
+    call->count = hold(args, call->held, wanted, other, written);
+    if (call->count < wanted || !light_of(&call->held[LIGHT], &call->held[WHICH], &call->light))
+        return 0;
+    call->which = call->held[WHICH].buf;
+    call->pixels = (size_t)call->held[WHICH].len / 8;
+    return 1;
+}
+
+static PyObject *end(Call *call, int done)
+{
+    free(call->block);
+    while (call->count--)
+        PyBuffer_Release(&call->held[call->count]);
+    if (!done)
+        return NULL;
+    Py_INCREF(Py_None);
+    return Py_None;
+}
+
+/* Whether a buffer has `size` bytes for each pixel. */
+static int holds(const Call *call, int buffer, size_t size)
+{
+    return (size_t)call->held[buffer].len >= size * call->pixels;
+}
+
+static int refuse(const char *why)
+{
+    PyErr_SetString(PyExc_ValueError, why);
+    return 0;
+}
+
+static int allocated(const Call *call)
+{
+    if (!call->block)
+        PyErr_NoMemory();
+    return call->block != NULL;
+}
+
+static int planned(const Call *call, Plan *plan)
+{
+    make_plan(call->held, plan);
+    return plan->bands >= 1 && plan->bands <= MOST_BANDS
+        && call->held[LIGHT].shape[1] == plan->bins;
+}
+
+static int run_fit(Call *call)
+{
+    const Py_buffer *held = call->held;
     Plan plan;
-    make_plan(held, &plan);
-    size_t pixels = (size_t)held[WHICH].len / 8, bands = (size_t)plan.bands;
-    if (plan.bands < 1 || plan.bands > MOST_BANDS || held[LIGHT].shape[1] != plan.bins
-        || (held[RATES].len && (size_t)held[RATES].len < 4 * pixels)
-        || (size_t)held[OFFSETS].len < 4 * pixels || (size_t)held[DELAY].len < 4 * pixels
-        || (size_t)held[DEVIATION].len < 4 * pixels || (size_t)held[OTHER].len < 4 * pixels
-        || (size_t)held[AMPLITUDES].len < 4 * pixels * bands
-        || (size_t)held[AMPLITUDE_STD].len < 4 * pixels * bands
-        || (size_t)held[BACKGROUND].len < 4 * pixels || (size_t)held[STEPS].len < pixels) {
-        PyErr_SetString(PyExc_ValueError, "fit: buffers do not fit one another");
-        goto done;
-    }
+    int fits = planned(call, &plan);
+    size_t each = 8 * (size_t)plan.bands;
+    if (!fits || (held[RATES].len && !holds(call, RATES, 4)) || !holds(call, OFFSETS, 4)
+        || !holds(call, DELAY, 8) || !holds(call, DEVIATION, 8) || !holds(call, OTHER, 8)
+        || !holds(call, AMPLITUDES, each) || !holds(call, AMPLITUDE_STD, each)
+        || !holds(call, BACKGROUND, 8) || !holds(call, STEPS, 1))
+        return refuse("fit: buffers do not fit one another");
     Results results = {held[DELAY].buf, held[DEVIATION].buf, held[OTHER].buf,
                        held[AMPLITUDES].buf, held[AMPLITUDE_STD].buf, held[BACKGROUND].buf,
                        held[STEPS].buf};
     Scratch scratch;
-    char *block = make_scratch(&plan, &scratch);
-    if (!block) {
-        PyErr_NoMemory();
-        goto done;
-    }
+    call->block = make_scratch(&plan, &scratch);
+    if (!allocated(call))
+        return 0;
     Py_BEGIN_ALLOW_THREADS
-    fit_pixels(&plan, &light, held[WHICH].buf, pixels, held[OFFSETS].buf,
+    fit_pixels(&plan, &call->light, call->which, call->pixels, held[OFFSETS].buf,
                held[RATES].len ? held[RATES].buf : NULL, &results, &scratch);
     Py_END_ALLOW_THREADS
-    free(block);
-    answer = Py_None;
-    Py_INCREF(answer);
-done:
-    while (count--)
-        PyBuffer_Release(&held[count]);
-    return answer;
+    return 1;
+}
+
+/* fit(light, which, offsets, rates, integers, reals, sizes, tables..., results...): kernels.py. */
+static PyObject *py_fit(PyObject *self, PyObject *args)
+{
+    (void)self;
+    Call call = {0};
+    return end(&call, begin(&call, args, BUFFERS, LIGHT, DELAY) && run_fit(&call));
+}
+
+static int run_wide_sums(Call *call)
+{
+    Plan plan;
+    int fits = planned(call, &plan);
+    size_t wide = (size_t)plan.rough.bins;
+    if (!fits || !holds(call, DELAY, 4 * wide))
+        return refuse("wide_sums: buffers do not fit one another");
+    Scratch scratch;
+    call->block = make_scratch(&plan, &scratch);
+    if (!allocated(call))
+        return 0;
+    float *results = call->held[DELAY].buf;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < call->pixels; i++) {
+        prepare(&plan, &call->light, (size_t)call->which[i], 0, 0, &scratch);
+        memcpy(results + i * wide, scratch.rough, 4 * wide);
+    }
+    Py_END_ALLOW_THREADS
+    return 1;
 }
 
 /* wide_sums(light, which, nothing, nothing, integers, reals, sizes, tables..., results): counts in
@@ -183,128 +249,152 @@ done:
 static PyObject *py_wide_sums(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[DELAY + 1];
-    PyObject *answer = NULL;
-    int count = hold(args, held, DELAY + 1, LIGHT, DELAY);
-    Light light;
-    if (count < DELAY + 1 || !light_of(&held[LIGHT], &held[WHICH], &light))
-        goto done;
-    Plan plan;
-    make_plan(held, &plan);
-    size_t pixels = (size_t)held[WHICH].len / 8, wide = (size_t)plan.rough.bins;
-    if (held[LIGHT].shape[1] != plan.bins || (size_t)held[DELAY].len < 4 * pixels * wide) {
-        PyErr_SetString(PyExc_ValueError, "wide_sums: buffers do not fit one another");
-        goto done;
-    }
-    Scratch scratch;
-    char *block = make_scratch(&plan, &scratch);
-    if (!block) {
-        PyErr_NoMemory();
-        goto done;
-    }
-    const int64_t *which = held[WHICH].buf;
-    float *results = held[DELAY].buf;
-    Py_BEGIN_ALLOW_THREADS
-    for (size_t i = 0; i < pixels; i++) {
-        prepare(&plan, &light, (size_t)which[i], 0, 0, &scratch);
-        memcpy(results + i * wide, scratch.rough, 4 * wide);
-    }
-    Py_END_ALLOW_THREADS
-    free(block);
-    answer = Py_None;
-    Py_INCREF(answer);
-done:
-    while (count--)
-        PyBuffer_Release(&held[count]);
-    return answer;
+    Call call = {0};
+    return end(&call, begin(&call, args, DELAY + 1, LIGHT, DELAY) && run_wide_sums(&call));
 }
 
 enum { THEN = DELAY, KEPT_AMPLITUDES, KEPT_BACKGROUND, CONTRASTS, CHANGE_BUFFERS };
+
+static int run_contrasts(Call *call)
+{
+    const Py_buffer *held = call->held;
+    Plan plan;
+    Light then;
+    if (!light_of(&held[THEN], &held[WHICH], &then))
+        return 0;
+    int fits = planned(call, &plan);
+    size_t bands = (size_t)plan.bands;
+    if (!fits || held[THEN].shape[1] != plan.rough.bins || !holds(call, OFFSETS, 4)
+        || !holds(call, RATES, 4) || !holds(call, CONTRASTS, 4)
+        || !holds(call, KEPT_AMPLITUDES, 4 * bands) || !holds(call, KEPT_BACKGROUND, 4))
+        return refuse("contrasts: buffers do not fit one another");
+    Scratch scratch;
+    call->block = make_scratch(&plan, &scratch);
+    if (!allocated(call))
+        return 0;
+    const float *delays = held[OFFSETS].buf, *scales = held[RATES].buf;
+    const float *amplitudes = held[KEPT_AMPLITUDES].buf, *background = held[KEPT_BACKGROUND].buf;
+    float *results = held[CONTRASTS].buf, *before = scratch.rough + scratch.rough_stride;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < call->pixels; i++) {
+        size_t pixel = (size_t)call->which[i];
+        if (i + 2 < call->pixels) {
+            fetch(&call->light, (size_t)call->which[i + 2], plan.bins);
+            fetch(&then, (size_t)call->which[i + 2], plan.rough.bins);
+        }
+        prepare(&plan, &call->light, pixel, 0, 0, &scratch);
+        read_counts(&then, pixel, plan.rough.bins, before);
+        results[i] = contrast(&plan, scratch.rough, before, scales[i], delays[i],
+                              amplitudes + i * bands, background[i], scratch.work);
+    }
+    Py_END_ALLOW_THREADS
+    return 1;
+}
 
 /* contrasts(now, which, delays, scales, integers, reals, sizes, tables..., then, amplitudes,
  * background, results): see changes.py. */
 static PyObject *py_contrasts(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[CHANGE_BUFFERS];
-    PyObject *answer = NULL;
-    int count = hold(args, held, CHANGE_BUFFERS, THEN, CONTRASTS);
-    Light now, then;
-    if (count < CHANGE_BUFFERS || !light_of(&held[LIGHT], &held[WHICH], &now)
-        || !light_of(&held[THEN], &held[WHICH], &then))
-        goto done;
-    Plan plan;
-    make_plan(held, &plan);
-    size_t pixels = (size_t)held[WHICH].len / 8, bands = (size_t)plan.bands;
-    if (plan.bands < 1 || plan.bands > MOST_BANDS || held[LIGHT].shape[1] != plan.bins
-        || held[THEN].shape[1] != plan.rough.bins || (size_t)held[OFFSETS].len < 4 * pixels
-        || (size_t)held[RATES].len < 4 * pixels || (size_t)held[CONTRASTS].len < 4 * pixels
-        || (size_t)held[KEPT_AMPLITUDES].len < 4 * pixels * bands
-        || (size_t)held[KEPT_BACKGROUND].len < 4 * pixels) {
-        PyErr_SetString(PyExc_ValueError, "contrasts: buffers do not fit one another");
-        goto done;
-    }
-    Scratch scratch;
-    char *block = make_scratch(&plan, &scratch);
-    if (!block) {
-        PyErr_NoMemory();
-        goto done;
-    }
-    const int64_t *which = held[WHICH].buf;
-    const float *delays = held[OFFSETS].buf, *scales = held[RATES].buf;
-    const float *amplitudes = held[KEPT_AMPLITUDES].buf, *background = held[KEPT_BACKGROUND].buf;
-    float *results = held[CONTRASTS].buf;
-    Py_BEGIN_ALLOW_THREADS
-    for (size_t i = 0; i < pixels; i++) {
-        if (i + 2 < pixels) {
-            fetch(&now, (size_t)which[i + 2], plan.bins);
-            fetch(&then, (size_t)which[i + 2], plan.rough.bins);
-        }
-        prepare(&plan, &now, (size_t)which[i], 0, 0, &scratch);
-        read_counts(&then, (size_t)which[i], plan.rough.bins, scratch.rough + scratch.rough_stride);
-        results[i] = contrast(&plan, scratch.rough, scratch.rough + scratch.rough_stride, scales[i],
-                              delays[i], amplitudes + i * bands, background[i], scratch.work);
-    }
-    Py_END_ALLOW_THREADS
-    free(block);
-    answer = Py_None;
-    Py_INCREF(answer);
-done:
-    while (count--)
-        PyBuffer_Release(&held[count]);
-    return answer;
+    Call call = {0};
+    return end(&call, begin(&call, args, CHANGE_BUFFERS, THEN, CONTRASTS) && run_contrasts(&call));
 }
 
-/* sums(light, which, results, full): counts of each pixel, as float64, and whether a counter is at
- * the end of its type. */
+enum { SPAN = 2, ALL_COUNTS, LIT_COUNTS, FULL, SUM_BUFFERS };
+
+static int run_sums(Call *call)
+{
+    int bins = (int)call->held[LIGHT].shape[1];
+    const int64_t *span = call->held[SPAN].buf;
+    if (call->held[SPAN].len != 16 || span[0] < 0 || span[1] < span[0] || span[1] > bins
+        || !holds(call, ALL_COUNTS, 8) || !holds(call, LIT_COUNTS, 8) || !holds(call, FULL, 1))
+        return refuse("sums: buffers do not fit one another");
+    double *all = call->held[ALL_COUNTS].buf, *lit = call->held[LIT_COUNTS].buf;
+    uint8_t *full = call->held[FULL].buf;
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t i = 0; i < call->pixels; i++)
+        sum_counts(&call->light, (size_t)call->which[i], bins, (int)span[0], (int)span[1], all + i,
+                   lit + i, full + i);
+    Py_END_ALLOW_THREADS
+    return 1;
+}
+
+/* sums(counts, which, span, all, lit, full): counts of each pixel and those from span[0] up to
+ * span[1], as float64, and whether a counter is at the end of its type. */
 static PyObject *py_sums(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[4];
-    PyObject *answer = NULL;
-    int count = hold(args, held, 4, LIGHT, 2);
-    Light light;
-    if (count < 4 || !light_of(&held[LIGHT], &held[WHICH], &light))
-        goto done;
-    size_t pixels = (size_t)held[WHICH].len / 8;
-    if ((size_t)held[2].len < 8 * pixels || (size_t)held[3].len < pixels) {
-        PyErr_SetString(PyExc_ValueError, "sums: buffers do not fit one another");
-        goto done;
-    }
-    const int64_t *which = held[WHICH].buf;
-    double *results = held[2].buf;
-    uint8_t *full = held[3].buf;
-    int bins = (int)held[LIGHT].shape[1];
+    Call call = {0};
+    return end(&call, begin(&call, args, SUM_BUFFERS, LIGHT, ALL_COUNTS) && run_sums(&call));
+}
+
+enum { NUMBERS = 2, HALF_WIDTH, WINDOWS, GAPS, REFERENCE, INFLUENCE, PIXEL_DELAYS, LAG, LAG_STD,
+       WINDOW_SUMS, FLOOR, PAPER_BUFFERS };
+
+/* What all pixels of a call share; false if its buffers do not fit one another. */
+static int make_paper(const Call *call, Paper *paper)
+{
+    const Py_buffer *held = call->held;
+    const int32_t *n = held[NUMBERS].buf;
+    *paper = (Paper){
+        .bins = (int)held[LIGHT].shape[1], .search = n[0], .reach = n[1], .most = n[2],
+        .circular = n[3], .bands = n[4], .outside = n[5],
+        .half_width = *(const double *)held[HALF_WIDTH].buf,
+        .windows = (int)(held[WINDOWS].len / 12), .window = held[WINDOWS].buf,
+        .gaps = (int)(held[GAPS].len / 8), .gap = held[GAPS].buf,
+    };
+    size_t kept = (size_t)paper->bins * (size_t)call->light.pixels;
+    int fits = paper->search >= 0 && paper->reach >= 0 && paper->reach <= paper->search
+            && paper->most >= paper->search + paper->reach && paper->most <= 2 * paper->bins
+            && paper->reach <= paper->bins && paper->half_width <= paper->most && paper->bands > 0
+            && (size_t)held[REFERENCE].len >= 2 * kept && (size_t)held[INFLUENCE].len >= 4 * kept
+            && (size_t)held[PIXEL_DELAYS].len >= 8 * (size_t)call->light.pixels
+            && holds(call, LAG, 8) && holds(call, LAG_STD, 8) && holds(call, FLOOR, 8)
+            && holds(call, WINDOW_SUMS, 8 * (size_t)paper->bands);
+    for (int w = 0; fits && w < paper->windows; w++)
+        fits = paper->window[3 * w] >= 0 && paper->window[3 * w] < paper->bands;
+    for (int g = 0; fits && g < 2 * paper->gaps; g++)
+        fits = paper->gap[g] >= 0 && paper->gap[g] <= paper->bins;
+    return fits;
+}
+
+static int run_correlations(Call *call)
+{
+    const Py_buffer *held = call->held;
+    if (held[NUMBERS].len != 6 * 4 || held[HALF_WIDTH].len != 8)
+        return refuse("correlations: wants six integers and a width");
+    Paper paper;
+    if (!make_paper(call, &paper))
+        return refuse("correlations: buffers do not fit one another");
+    call->block = calloc(sheet_bytes(&paper), 1);
+    if (!allocated(call))
+        return 0;
+    Sheet sheet;
+    lay_out(&paper, (char *)(((uintptr_t)call->block + 63) / 64 * 64), &sheet);
+    size_t bins = (size_t)paper.bins, bands = (size_t)paper.bands;
+    const uint16_t *reference = held[REFERENCE].buf;
+    const float *influence = held[INFLUENCE].buf;
+    const double *pixel_delays = held[PIXEL_DELAYS].buf;
+    double *delay = held[LAG].buf, *deviation = held[LAG_STD].buf, *sums = held[WINDOW_SUMS].buf;
+    double *background = held[FLOOR].buf;
     Py_BEGIN_ALLOW_THREADS
-    for (size_t i = 0; i < pixels; i++)
-        results[i] = sum_counts(&light, (size_t)which[i], bins, &full[i]);
+    for (size_t i = 0; i < call->pixels; i++) {
+        size_t pixel = (size_t)call->which[i];
+        if (i + 2 < call->pixels) {
+            size_t later = (size_t)call->which[i + 2] * bins;
+            fetch(&call->light, (size_t)call->which[i + 2], paper.bins);
+            for (size_t at = 0; at < bins; at += 32)
+                __builtin_prefetch(reference + later + at);
+            for (size_t at = 0; at < bins; at += 16)
+                __builtin_prefetch(influence + later + at);
+        }
+        read_counts(&call->light, pixel, paper.bins, sheet.light + paper.reach);
+        correlate_pixel(&paper, &sheet, reference + pixel * bins, influence + pixel * bins,
+                        pixel_delays[pixel], delay + i, deviation + i, sums + i * bands,
+                        background + i);
+    }
     Py_END_ALLOW_THREADS
-    answer = Py_None;
-    Py_INCREF(answer);
-done:
-    while (count--)
-        PyBuffer_Release(&held[count]);
-    return answer;
+    return 1;
 }
 
 /* correlations(light, which, integers, half_width, windows, gaps, reference, influence,
@@ -312,81 +402,8 @@ done:
 static PyObject *py_correlations(PyObject *self, PyObject *args)
 {
     (void)self;
-    enum { NUMBERS = 2, HALF_WIDTH, WINDOWS, GAPS, REFERENCE, INFLUENCE, PIXEL_DELAYS, LAG, LAG_STD,
-           SUMS, FLOOR, PAPER_BUFFERS };
-    Py_buffer held[PAPER_BUFFERS];
-    PyObject *answer = NULL;
-    int count = hold(args, held, PAPER_BUFFERS, LIGHT, LAG);
-    Light light;
-    if (count < PAPER_BUFFERS || !light_of(&held[LIGHT], &held[WHICH], &light))
-        goto done;
-    if (held[NUMBERS].len != 6 * 4 || held[HALF_WIDTH].len != 8) {
-        PyErr_SetString(PyExc_ValueError, "correlations: wants six integers and a width");
-        goto done;
-    }
-    const int32_t *n = held[NUMBERS].buf;
-    Paper paper = {
-        .bins = (int)held[LIGHT].shape[1], .search = n[0], .reach = n[1], .most = n[2],
-        .circular = n[3], .bands = n[4], .outside = n[5],
-        .half_width = *(const double *)held[HALF_WIDTH].buf,
-        .windows = (int)(held[WINDOWS].len / 12), .window = held[WINDOWS].buf,
-        .gaps = (int)(held[GAPS].len / 8), .gap = held[GAPS].buf,
-    };
-    size_t pixels = (size_t)held[WHICH].len / 8, bins = (size_t)paper.bins;
-    size_t kept = (size_t)light.pixels;
-    int fits = paper.search >= 0 && paper.reach >= 0 && paper.reach <= paper.search
-            && paper.most >= paper.search + paper.reach && paper.most <= 2 * paper.bins
-            && paper.reach <= paper.bins && paper.half_width <= paper.most && paper.bands > 0
-            && (size_t)held[REFERENCE].len >= 2 * bins * kept
-            && (size_t)held[INFLUENCE].len >= 4 * bins * kept
-            && (size_t)held[PIXEL_DELAYS].len >= 8 * kept && (size_t)held[LAG].len >= 8 * pixels
-            && (size_t)held[LAG_STD].len >= 8 * pixels && (size_t)held[FLOOR].len >= 8 * pixels
-            && (size_t)held[SUMS].len >= 8 * pixels * (size_t)paper.bands;
-    for (int w = 0; fits && w < paper.windows; w++)
-        fits = paper.window[3 * w] >= 0 && paper.window[3 * w] < paper.bands;
-    for (int g = 0; fits && g < 2 * paper.gaps; g++)
-        fits = paper.gap[g] >= 0 && paper.gap[g] <= paper.bins;
-    if (!fits) {
-        PyErr_SetString(PyExc_ValueError, "correlations: buffers do not fit one another");
-        goto done;
-    }
-    char *block = calloc(sheet_bytes(&paper), 1);
-    if (!block) {
-        PyErr_NoMemory();
-        goto done;
-    }
-    Sheet sheet;
-    lay_out(&paper, (char *)(((uintptr_t)block + 63) / 64 * 64), &sheet);
-    const int64_t *which = held[WHICH].buf;
-    const uint16_t *reference = held[REFERENCE].buf;
-    const float *influence = held[INFLUENCE].buf;
-    const double *pixel_delays = held[PIXEL_DELAYS].buf;
-    double *delay = held[LAG].buf, *deviation = held[LAG_STD].buf, *sums = held[SUMS].buf;
-    double *background = held[FLOOR].buf;
-    Py_BEGIN_ALLOW_THREADS
-    for (size_t i = 0; i < pixels; i++) {
-        size_t pixel = (size_t)which[i];
-        if (i + 2 < pixels) {
-            size_t later = (size_t)which[i + 2] * bins;
-            fetch(&light, (size_t)which[i + 2], paper.bins);
-            for (size_t at = 0; at < bins; at += 32)
-                __builtin_prefetch(reference + later + at);
-            for (size_t at = 0; at < bins; at += 16)
-                __builtin_prefetch(influence + later + at);
-        }
-        read_counts(&light, pixel, paper.bins, sheet.light + paper.reach);
-        correlate_pixel(&paper, &sheet, reference + pixel * bins, influence + pixel * bins,
-                        pixel_delays[pixel], delay + i, deviation + i,
-                        sums + i * (size_t)paper.bands, background + i);
-    }
-    Py_END_ALLOW_THREADS
-    free(block);
-    answer = Py_None;
-    Py_INCREF(answer);
-done:
-    while (count--)
-        PyBuffer_Release(&held[count]);
-    return answer;
+    Call call = {0};
+    return end(&call, begin(&call, args, PAPER_BUFFERS, LIGHT, LAG) && run_correlations(&call));
 }
 
 /* processor(): 2 if it knows AVX-512 (x86-64-v4), 1 if AVX2 and fused products (v3), else 0. */

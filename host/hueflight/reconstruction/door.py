@@ -44,15 +44,19 @@ def check_in(histogram: ArrayLike, calibration: Calibration, frames: ArrayLike |
     instrument = calibration.instrument
     counts = np.asarray(histogram)
     if counts.shape == instrument.histogram_shape and counts.dtype in (np.uint16, np.uint32):
-        flat_sums, flat_full = survey(counts.reshape(-1, counts.shape[2]))
-        sums, full = flat_sums.reshape(counts.shape[:2]), flat_full.reshape(counts.shape[:2])
+        codes = calibration.bins.codes  # a run of them, either way
+        lit = slice(int(codes.min()), int(codes.max()) + 1)
+        shape = counts.shape[:2]
+        flat_sums, flat_photons, flat_full = survey(counts.reshape(-1, counts.shape[2]), lit)
+        sums, photons, full = (
+            flat_sums.reshape(shape),
+            flat_photons.reshape(shape),
+            flat_full.reshape(shape),
+        )
         if not sums.any():
             check_histogram(counts, instrument)  # says so
         known = frames is None and instrument.sensor.reports_empty
         exposures = sums if known else frames_per_pixel(counts, instrument, frames)
-        photons = sums.copy()
-        for code in np.setdiff1d(np.arange(counts.shape[2]), calibration.bins.codes):  # few
-            photons -= counts[..., code]
     else:
         counts = check_histogram(counts, instrument)
         exposures, full = frames_per_pixel(counts, instrument, frames), counters_full(counts)

@@ -84,14 +84,29 @@ class Fit:
     background: NDArray[np.float64]
     steps: NDArray[np.uint8]
 
-    def take(self, chosen: NDArray[Any]) -> Fit:
+    def take(self, chosen: NDArray[Any] | slice) -> Fit:
         """Some of the pixels."""
         return Fit(*(getattr(self, name)[chosen] for name in Fit.__dataclass_fields__))
 
-    def put(self, chosen: NDArray[Any], other: Fit) -> None:
+    def put(self, chosen: NDArray[Any] | slice, other: Fit) -> None:
         """Another fit's pixels in place of some of these."""
         for name in Fit.__dataclass_fields__:
             getattr(self, name)[chosen] = getattr(other, name)
+
+
+def no_fit(pixels: int, bands: int) -> Fit:
+    """Room for the fits of so many pixels, all zero."""
+    delay, deviation, other, background = np.zeros((4, pixels))
+    amplitudes, amplitude_std = np.zeros((2, pixels, bands))
+    return Fit(
+        delay_ns=delay,
+        delay_std_ns=deviation,
+        other_ns=other,
+        amplitudes=amplitudes,
+        amplitude_std=amplitude_std,
+        background=background,
+        steps=np.zeros(pixels, np.uint8),
+    )
 
 
 @dataclass

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from hueflight.errors import HueflightError
 from hueflight.reconstruction import changes
 from hueflight.reconstruction import fit as definition
-from hueflight.reconstruction.fit import DEFAULT, Fit, Switches
+from hueflight.reconstruction.fit import DEFAULT, Fit, Switches, no_fit
 from hueflight.reconstruction.packing import MOST_BANDS, PackedLevel, PackedPlan, pack, rules
 from hueflight.reconstruction.pileup import NEGLIGIBLE, unshadowed
 from hueflight.reconstruction.plan import Plan
@@ -116,26 +116,26 @@ def fit_pixels(
     if compiled and light.dtype not in COUNT_TYPES:
         light = light.astype(np.float32)
 
-    def fit_tile(tile: slice) -> Fit:
+    found = no_fit(which.size, plan.bands)
+
+    def fit_tile(tile: slice) -> None:
         rates = None if per_period is None else per_period[tile]
+        into = found.take(tile)  # a view
         if compiled:
-            return _fit_compiled(light, which[tile], offsets_ns[tile], rates, plan, switches)
+            _fit_compiled(light, which[tile], offsets_ns[tile], rates, plan, switches, into)
+            return
         seen = light if pixels is None and len(which) <= TILE_PIXELS else light[which[tile]]
-        return definition.fit(unshadowed(seen, rates), offsets_ns[tile], plan, switches)
+        found.put(tile, definition.fit(unshadowed(seen, rates), offsets_ns[tile], plan, switches))
 
     starts = range(0, max(len(which), 1), TILE_PIXELS)
     tiles = [slice(start, start + TILE_PIXELS) for start in starts]
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
-            fits = list(pool.map(fit_tile, tiles))
+            list(pool.map(fit_tile, tiles))
     else:
-        fits = [fit_tile(tile) for tile in tiles]
-    return Fit(
-        **{
-            name: np.concatenate([getattr(part, name) for part in fits])
-            for name in Fit.__dataclass_fields__
-        }
-    )
+        for tile in tiles:
+            fit_tile(tile)
+    return found
 
 
 def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
@@ -143,18 +143,26 @@ def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
     return survey(light)[0]
 
 
-def survey(light: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Counts (pixel,) of (pixel, bin), and where a counter is at the end of its integer type."""
+def survey(
+    counts: NDArray[Any], lit: slice = slice(None)
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Counts (pixel,) of (pixel, code), those of `lit` codes, and where a counter is full.
+
+    A counter is full at the end of its integer type.
+    """
     kernel = compiled_kernel()
     wish = os.environ.get("HUEFLIGHT_KERNELS", "")
-    if kernel is None or wish == "numpy" or light.dtype not in COUNT_TYPES:
-        full = np.zeros(len(light), bool)
-        if light.dtype.kind in "ui":
-            full = (light == np.iinfo(light.dtype).max).any(axis=-1)
-        return light.sum(axis=-1, dtype=np.float64), full
-    sums, full = np.empty(len(light)), np.empty(len(light), np.uint8)
-    kernel.sums(light, np.arange(len(light)), sums, full)
-    return sums, full.astype(bool)
+    if kernel is None or wish == "numpy" or counts.dtype not in COUNT_TYPES:
+        full = np.zeros(len(counts), bool)
+        if counts.dtype.kind in "ui":
+            full = (counts == np.iinfo(counts.dtype).max).any(axis=-1)
+        sums = counts.sum(axis=-1, dtype=np.float64)
+        return sums, counts[:, lit].sum(axis=-1, dtype=np.float64), full
+    sums, inside = np.empty((2, len(counts)))
+    full = np.empty(len(counts), np.uint8)
+    span = np.array(lit.indices(counts.shape[1])[:2], np.int64)
+    kernel.sums(counts, np.arange(len(counts)), span, sums, inside, full)
+    return sums, inside, full.astype(bool)
 
 
 def wide_sums(light: NDArray[Any], pixels: NDArray[np.int64], plan: Plan) -> NDArray[np.float32]:
@@ -213,12 +221,9 @@ def _fit_compiled(
     per_period: NDArray[np.float64] | None,
     plan: Plan,
     switches: Switches,
-) -> Fit:
+    into: Fit,
+) -> None:
     kernel, packed = _packed_for(plan)
-    count, bands = len(pixels), plan.bands
-    delay, deviation, other, background = (np.empty(count, np.float32) for _ in range(4))
-    amplitudes, amplitude_std = (np.empty((count, bands), np.float32) for _ in range(2))
-    steps = np.empty(count, np.uint8)
     rates = np.empty(0) if per_period is None else per_period
     kernel.fit(
         light,
@@ -226,13 +231,9 @@ def _fit_compiled(
         offsets_ns.astype(np.float32),
         rates.astype(np.float32),
         *_plan_buffers(plan, packed, switches),
-        *(delay, deviation, other, amplitudes, amplitude_std, background, steps),
+        *(into.delay_ns, into.delay_std_ns, into.other_ns),
+        *(into.amplitudes, into.amplitude_std, into.background, into.steps),
     )
-    wide = [
-        values.astype(np.float64)
-        for values in (delay, deviation, other, amplitudes, amplitude_std, background)
-    ]
-    return Fit(*wide, steps=steps)
 
 
 def _plan_buffers(plan: Plan, packed: PackedPlan, switches: Switches) -> list[NDArray[Any]]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.reconstruction.door import check_in
-from hueflight.reconstruction.fit import Fit
+from hueflight.reconstruction.fit import Fit, no_fit
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.joint import fit_chosen, in_metres, plan_for, search_range_ns
 from hueflight.reconstruction.kernels import contrasts, wide_sums
@@ -124,7 +124,7 @@ class Video:
                 wide=wide_sums(flat, np.arange(len(flat)), self._plan),
                 photons=photons,
                 frames=exposures,
-                fit=_no_fit(flat.shape[0], self._plan.bands),
+                fit=no_fit(flat.shape[0], self._plan.bands),
                 fitted=np.zeros(photons.shape, bool),
             )
         else:
@@ -168,14 +168,3 @@ class Video:
         gaps = contrasts(flat, kept.wide, pixels, scales, found, offsets_ns, self._plan)
         differs[kept.fitted] = gaps > self._change_sigma
         return differs
-
-
-def _no_fit(pixels: int, bands: int) -> Fit:
-    return Fit(
-        **{
-            name: np.zeros((pixels, bands) if name.startswith("amplitude") else pixels)
-            for name in Fit.__dataclass_fields__
-            if name != "steps"
-        },
-        steps=np.zeros(pixels, np.uint8),
-    )

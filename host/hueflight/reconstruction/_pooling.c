@@ -299,82 +299,109 @@ static PyObject *py_list(PyObject *self, PyObject *args)
     return finish(held, 7, fits);
 }
 
-static Photons photons_of(const Py_buffer *held, int *fits)
+/* A call of a loop over photons: starts, times and weights come first among the buffers. */
+typedef struct {
+    Py_buffer held[11];
+    Photons seen;
+} Call;
+
+static int64_t floats(const Call *call, int place) { return items(&call->held[place], 4); }
+
+static int each(const Call *call, int place) /* pixel's floats in a buffer */
 {
-    Photons seen = {items(&held[0], 8) - 1, held[0].buf, held[1].buf, held[2].buf};
-    *fits = seen.pixels >= 0 && items(&held[1], 4) == items(&held[2], 4)
-         && seen.starts[seen.pixels] <= items(&held[1], 4);
-    return seen;
+    return call->seen.pixels > 0 ? (int)(floats(call, place) / call->seen.pixels) : 0;
+}
+
+/* Run a loop over photons without the interpreter's lock, if its buffers fit one another. */
+static PyObject *over_photons(PyObject *args, Py_ssize_t count, Py_ssize_t writable,
+                              int (*check)(const Call *), void (*loop)(const Call *))
+{
+    Call call;
+    if (!hold(args, count, writable, call.held))
+        return NULL;
+    const Py_buffer *held = call.held;
+    call.seen = (Photons){items(&held[0], 8) - 1, held[0].buf, held[1].buf, held[2].buf};
+    int fits = call.seen.pixels >= 0 && floats(&call, 1) == floats(&call, 2)
+            && call.seen.starts[call.seen.pixels] <= floats(&call, 1) && check(&call);
+    if (fits) {
+        Py_BEGIN_ALLOW_THREADS
+        loop(&call);
+        Py_END_ALLOW_THREADS
+    }
+    return finish(call.held, count, fits);
 }
 
 /* lags(starts, time, weight, table, reals: cells per ns, lags; result) */
+static int lags_fit(const Call *call)
+{
+    int64_t cells = floats(call, 3), count = floats(call, 5);
+    const int32_t *lags = call->held[5].buf;
+    int fits = floats(call, 4) == 1 && floats(call, 6) == call->seen.pixels * count;
+    for (int l = 0; fits && l < count; l++)
+        fits = lags[l] > -cells && lags[l] < cells;
+    return fits;
+}
+
+static void run_lags(const Call *call)
+{
+    const Py_buffer *held = call->held;
+    lag_likelihood(&call->seen, held[3].buf, (int)floats(call, 3), *(const float *)held[4].buf,
+                   held[5].buf, (int)floats(call, 5), held[6].buf);
+}
+
 static PyObject *py_lags(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[7];
-    int fits;
-    if (!hold(args, 7, 6, held))
-        return NULL;
-    Photons seen = photons_of(held, &fits);
-    int cells = (int)items(&held[3], 4), count = (int)items(&held[5], 4);
-    const int32_t *lags = held[5].buf;
-    fits = fits && items(&held[4], 4) == 1 && items(&held[6], 4) == seen.pixels * count;
-    for (int l = 0; fits && l < count; l++)
-        fits = lags[l] > -cells && lags[l] < cells;
-    if (fits) {
-        Py_BEGIN_ALLOW_THREADS
-        lag_likelihood(&seen, held[3].buf, cells, *(const float *)held[4].buf, lags, count,
-                       held[6].buf);
-        Py_END_ALLOW_THREADS
-    }
-    return finish(held, 7, fits);
+    return over_photons(args, 7, 6, lags_fit, run_lags);
 }
 
 /* slots(starts, time, weight, delays, owners, reals: cells per ns; result) */
+static int slots_fit(const Call *call)
+{
+    int64_t cells = items(&call->held[4], 1);
+    const int8_t *owners = call->held[4].buf;
+    int fits = floats(call, 3) == call->seen.pixels && floats(call, 5) == 1;
+    for (int64_t cell = 0; fits && cell < cells; cell++)
+        fits = owners[cell] >= 0 && owners[cell] < each(call, 6);
+    return fits;
+}
+
+static void run_slots(const Call *call)
+{
+    const Py_buffer *held = call->held;
+    slots(&call->seen, held[3].buf, held[4].buf, (int)items(&held[4], 1),
+          *(const float *)held[5].buf, each(call, 6), held[6].buf);
+}
+
 static PyObject *py_slots(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[7];
-    int fits;
-    if (!hold(args, 7, 6, held))
-        return NULL;
-    Photons seen = photons_of(held, &fits);
-    int cells = (int)items(&held[4], 1);
-    int count = seen.pixels > 0 ? (int)(items(&held[6], 4) / seen.pixels) : 0;
-    const int8_t *owners = held[4].buf;
-    fits = fits && items(&held[3], 4) == seen.pixels && items(&held[5], 4) == 1;
-    for (int cell = 0; fits && cell < cells; cell++)
-        fits = owners[cell] >= 0 && owners[cell] < count;
-    if (fits) {
-        Py_BEGIN_ALLOW_THREADS
-        slots(&seen, held[3].buf, owners, cells, *(const float *)held[5].buf, count, held[6].buf);
-        Py_END_ALLOW_THREADS
-    }
-    return finish(held, 7, fits);
+    return over_photons(args, 7, 6, slots_fit, run_slots);
 }
 
 /* scores(starts, time, weight, delays, shares, slopes, amplitudes, floors, reals: cells per ns;
  * score, information) */
+static int scores_fit(const Call *call)
+{
+    int64_t pixels = call->seen.pixels;
+    return each(call, 6) > 0 && floats(call, 3) == pixels && floats(call, 4) == floats(call, 5)
+        && floats(call, 7) == pixels && floats(call, 8) == 1 && floats(call, 9) == pixels
+        && floats(call, 10) == pixels;
+}
+
+static void run_scores(const Call *call)
+{
+    const Py_buffer *held = call->held;
+    int bands = each(call, 6);
+    scores(&call->seen, held[3].buf, held[4].buf, held[5].buf, (int)(floats(call, 4) / bands),
+           *(const float *)held[8].buf, bands, held[6].buf, held[7].buf, held[9].buf,
+           held[10].buf);
+}
+
 static PyObject *py_scores(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[11];
-    int fits;
-    if (!hold(args, 11, 9, held))
-        return NULL;
-    Photons seen = photons_of(held, &fits);
-    int64_t pixels = seen.pixels, bands = pixels > 0 ? items(&held[6], 4) / pixels : 0;
-    fits = fits && bands > 0 && items(&held[3], 4) == pixels && held[4].len == held[5].len
-        && items(&held[7], 4) == pixels && items(&held[8], 4) == 1
-        && items(&held[9], 4) == pixels && items(&held[10], 4) == pixels;
-    if (fits) {
-        Py_BEGIN_ALLOW_THREADS
-        scores(&seen, held[3].buf, held[4].buf, held[5].buf, (int)(items(&held[4], 4) / bands),
-               *(const float *)held[8].buf, (int)bands, held[6].buf, held[7].buf, held[9].buf,
-               held[10].buf);
-        Py_END_ALLOW_THREADS
-    }
-    return finish(held, 11, fits);
+    return over_photons(args, 11, 9, scores_fit, run_scores);
 }
 
 /* pool(integers: first row, last row, rows, cols, rim, groups, planes, spectral; reals: limits of

@@ -42,7 +42,7 @@ class Palette:
     def colours(self, image: xr.Dataset, /) -> NDArray[np.uint8] | None:
         """Codes (row, col, 3) of sRGB, 0 where unknown; None if too few bands are visible."""
         reflectance = image["reflectance"].values
-        known: NDArray[np.bool_] = np.isfinite(reflectance).all(axis=-1)
+        known = np.asarray(np.isfinite(reflectance).all(axis=-1))
         if not self._tells_colours or not known.any():
             return None
         noise = float(np.median(image["reflectance_std"].values[known].mean(axis=0)))

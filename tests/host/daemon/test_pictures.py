@@ -62,7 +62,8 @@ def test_a_picture_is_of_the_newest_blocks_of_its_run(
         pictures.close()
     assert pictures.skipped == 0
     # all but those that the next picture still needs, each once, in order
-    assert source.returned == list(range(len(offered) - blocks))
+    needed = blocks if blocks > 1 else 0
+    assert source.returned == list(range(len(offered) - needed))
 
 
 def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrument) -> None:

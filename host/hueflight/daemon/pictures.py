@@ -25,6 +25,7 @@ from hueflight.reconstruction.video import Video
 CHANGE_SIGMA = 4.0  #: see `Video`
 REFRESH_S = 10.0  #: then every pixel is fitted again: chance may have misled a fit that is kept
 GROWTH = 1.1  #: by so much more frames than behind the kept fits, all pixels are fitted again
+UNSEEN_S = 1.0  #: from picture to picture while nobody looks
 _WAIT_S = 0.5
 _NICENESS = 5
 
@@ -78,6 +79,7 @@ class Pictures:
         them for up to `REFRESH_S`; 0 fits every pixel of every picture. See `Video`.
     threads : that share its pixels.
     on_picture : told of each picture, in the thread.
+    looked_at : whether anybody looks; if not, a picture a second is enough for who asks later.
 
     Attributes
     ----------
@@ -97,6 +99,7 @@ class Pictures:
         change_sigma: float = CHANGE_SIGMA,
         threads: int = 1,
         on_picture: Callable[[Picture], None],
+        looked_at: Callable[[], bool] = lambda: True,
     ) -> None:
         if method and method not in METHODS:
             raise HueflightError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
@@ -107,6 +110,7 @@ class Pictures:
         self.made = self.skipped = 0
         self.problem = ""
         self._on_picture = on_picture
+        self._looked_at = looked_at
         self._threads = threads
         self._film = Film(change_sigma=change_sigma, threads=threads)
         self._waiting: deque[LiveBlock] = deque()
@@ -149,6 +153,9 @@ class Pictures:
             begun_s = time.monotonic()
             for live in blocks:
                 self._window.add(live)
+            latest = self.latest
+            if latest and not self._looked_at() and begun_s - latest.begun_s < UNSEEN_S:
+                continue
             self._make(blocks[-1], self._window.counts(), self._window.frames, begun_s)
 
     def _make(self, live: LiveBlock, counts: Counts, frames: int, begun_s: float) -> None:

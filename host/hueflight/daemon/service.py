@@ -86,6 +86,7 @@ class Service:
             change_sigma=config.change_sigma,
             threads=config.picture_threads or os.cpu_count() or 1,
             on_picture=on_picture,
+            looked_at=lambda: self.viewers > 0,
         )
         self.acquisition = Acquisition(
             connect,

@@ -66,6 +66,32 @@ def test_a_picture_is_of_the_newest_blocks_of_its_run(
     assert source.returned == list(range(len(offered) - needed))
 
 
+def test_while_nobody_looks_pictures_are_few(
+    instrument: hf.Instrument, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, looking = 100.0, False
+    made: list[Picture] = []
+    added = threading.Semaphore(0)
+    monkeypatch.setattr("hueflight.daemon.pictures.time.monotonic", lambda: now_s)
+    pictures = Pictures(
+        instrument, on_picture=made.append, looked_at=lambda: (looking, added.release())[0]
+    )
+    source = Source(instrument.histogram_shape)
+    try:
+        for number in range(9):
+            pictures.offer(source.block(number))
+            if number == 0:  # the first one is made in any case
+                while not source.returned or not made:
+                    time.sleep(0.001)
+                continue
+            assert added.acquire(timeout=WAIT_S)
+            now_s, looking = now_s + 0.3, number >= 6
+    finally:
+        pictures.close()
+    assert pictures.skipped == 0
+    assert [picture.begun_s for picture in made] == pytest.approx([100, 101.2, 101.8, 102.1])
+
+
 def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrument) -> None:
     made: list[Picture] = []
     done = threading.Semaphore(0)

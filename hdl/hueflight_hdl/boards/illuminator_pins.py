@@ -58,33 +58,47 @@ def add_from_platform(
     return illuminator
 
 
-class IlluminatorTwin(wiring.Component):
-    """The illuminator from pin to pin with simulated gearing: a pin's ticks are a word a clock.
+class GearedTwin(wiring.Component):
+    """An illuminator with simulated gearing: a pin's ticks are a word a clock.
 
     Parameters
     ----------
     config : IlluminatorConfig
     gearing : Gearing
         Of the board; its twin is simulated.
+    members : dict of str to wiring.Member
+        What it has besides `trigger`, `levels`, `missed` and `armed`.
     """
 
-    def __init__(self, config: IlluminatorConfig, gearing: Gearing) -> None:
+    def __init__(
+        self, config: IlluminatorConfig, gearing: Gearing, members: dict[str, wiring.Member]
+    ) -> None:
         self.config = config
         self.gearing = SimulatedGearing(gearing)
         lanes, channels = config.pulse.lanes, config.pulse.channels
         super().__init__(
             {
-                "rx": In(1),
-                "tx": Out(1, init=1),
                 "trigger": In(lanes),
-                "frame_sync": In(1),
                 "levels": Out(data.ArrayLayout(lanes, channels)),
-                "trigger_out": Out(lanes),
-                "marker": Out(8),
                 "missed": Out(1),
                 "armed": Out(1),
+                **members,
             }
         )
+
+
+class IlluminatorTwin(GearedTwin):
+    """The illuminator from pin to pin."""
+
+    def __init__(self, config: IlluminatorConfig, gearing: Gearing) -> None:
+        members = {
+            "rx": In(1),
+            "tx": Out(1, init=1),
+            "frame_sync": In(1),
+            "trigger_out": Out(config.pulse.lanes),
+            "marker": Out(8),
+        }
+        super().__init__(config, gearing, members)
 
     def elaborate(self, platform: object) -> Module:
         m = Module()

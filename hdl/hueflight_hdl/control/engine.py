@@ -185,7 +185,17 @@ class ControlEngine(wiring.Component):
 
             with m.Case(State.LOOK_UP):
                 # `left` counts up here: every address is looked at before anything is done
-                with m.If((left == words) | (result < Result.BAD_ADDRESS) & (result != Result.OK)):
+                # That it is over is seen in the first clock of an address, so never in its last.
+                with m.If(dwell == RegisterFile.latency):
+                    m.d.sync += [
+                        self.address.eq(self.address + 1),
+                        dwell.eq(0),
+                        left.eq(left + 1),
+                    ]
+                    self._examine(m, result, writing)
+                with m.Elif(
+                    (left == words) | (result < Result.BAD_ADDRESS) & (result != Result.OK)
+                ):
                     m.d.sync += [
                         self.address.eq(first),
                         buffer.index.eq(HEADER_BYTES),
@@ -195,13 +205,6 @@ class ControlEngine(wiring.Component):
                     ]
                     with m.If((result == Result.OK) & writing):
                         m.d.sync += state.eq(State.GATHER)
-                with m.Elif(dwell == RegisterFile.latency):
-                    m.d.sync += [
-                        self.address.eq(self.address + 1),
-                        dwell.eq(0),
-                        left.eq(left + 1),
-                    ]
-                    self._examine(m, result, writing)
 
             with m.Case(State.GATHER):
                 with m.If(dwell == RequestBuffer.latency):

@@ -338,7 +338,9 @@ class Camera(wiring.Component):
         counters, messenger = self._counters, self._messenger
         # what ends a capture is said when its last frame has been sent
         ending = Signal()
-        settled = Signal()
+        settled, ready = Signal(), Signal()
+        ends = exposure.ended | happened.ended | ending
+        m.d.sync += ready.eq(messenger.idle & ~ends)
         m.d.comb += settled.eq(ending & ~self._formatter.in_frame & ~self._formatter.sending)
         with m.If(happened.ended):
             m.d.sync += ending.eq(1)
@@ -355,7 +357,7 @@ class Camera(wiring.Component):
             m.d.sync += frames.eq(frames + 1)
 
         m.d.comb += [
-            exposure.ready.eq(messenger.idle & ~ending & ~happened.ended),
+            exposure.ready.eq(ready),
             messenger.started.eq(happened.began),
             messenger.overflow.eq(happened.dropped | happened.aborted),
             messenger.trigger_lost.eq(happened.missed),

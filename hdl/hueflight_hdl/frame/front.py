@@ -21,7 +21,7 @@ class FrameFront(wiring.Component):
     header_free : In(1)
         There is room for the header of a new frame.
     freed : In(1)
-        A bank has been read; it counts as free two clocks later.
+        A bank has been read.
     o : Out(stream)
         Beats, see `FrameFormat.beat_layout`; cannot wait.
     ends : Out(1)
@@ -66,7 +66,6 @@ class FrameFront(wiring.Component):
         lone = form.chunk(last=form.chunks == 1).beats == 1
         chunk_end, frame_end = Signal(init=lone), Signal()
         next_last = Signal()  # the chunk that follows is the last
-        freed = Signal()
         payload = self.o.payload
         m.d.comb += [
             self.i.ready.eq(
@@ -90,9 +89,10 @@ class FrameFront(wiring.Component):
         ]
         m.d.sync += [
             self.in_frame.eq(self.hold),
-            freed.eq(self.freed),
             # an aborted chunk that was begun gives its bank back
-            self.banks_free.eq(self.banks_free + freed + (aborts & ~starts) - (taken & starts)),
+            self.banks_free.eq(
+                self.banks_free + self.freed + (aborts & ~starts) - (taken & starts)
+            ),
         ]
         with m.If(taken):
             m.d.sync += [

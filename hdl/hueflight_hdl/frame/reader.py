@@ -63,7 +63,7 @@ class PieceReader(wiring.Component):
     chunks : In(stream)
         Descriptors, of empty chunks too.
     freed : Out(1)
-        The oldest bank has been read.
+        The oldest bank has been read; a clock after its last piece was begun.
     messages : In(stream)
         Packets that are not frames, word by word, see `MESSAGE_LAYOUT`.
     room : In(1)
@@ -182,19 +182,28 @@ class PieceReader(wiring.Component):
         frame_before = Signal()  # the last packet was a frame: a message has precedence
         left = Signal.like(place)  # pieces of this bitmap, or of these codes, after this one
         ends = Signal()  # there are none
+        length = Signal.like(size)  # of this one
         bitmap_final, bitmap_rest = _bitmap_sizes(inner, last, chunk.short)
         bitmap_tail = Signal(4)
         m.d.comb += [
             self.place.eq(place),
             piece.word.eq(word),
         ]
-        m.d.sync += self.message.eq(self.messages.payload.data)
+        # what comes from the next bank is a chunk's word later at least
+        freed = Signal()
+        m.d.sync += [
+            self.message.eq(self.messages.payload.data),
+            self.freed.eq(freed),
+            self.bank.eq(self.bank + self.freed),
+        ]
 
-        def begin(final: Value) -> None:
+        def begin(final: Value, whole: int, tail: Value) -> None:
             m.d.sync += [place.eq(0), left.eq(final), ends.eq(final == 0)]
+            m.d.sync += length.eq(Mux(final == 0, tail, whole))
 
-        def go_on() -> None:
+        def go_on(whole: int, tail: Value) -> None:
             m.d.sync += [place.eq(place + 1), left.eq(left - 1), ends.eq(left == 1)]
+            m.d.sync += length.eq(Mux(left == 1, tail, whole))
 
         with m.FSM():
             with m.State("IDLE"):
@@ -246,39 +255,37 @@ class PieceReader(wiring.Component):
                     with m.If(chunk.some):
                         m.d.sync += self.hits.eq(self.hits + chunk.hits)
                         with m.If(chunk.dense):
-                            begin(chunk.final)
+                            begin(chunk.final, form.code_bits, chunk.tail)
                             m.next = "CODES"
                         with m.Else():
-                            begin(bitmap_final)
+                            begin(bitmap_final, WORD_BYTES, bitmap_rest)
                             m.next = "BITMAP"
                     with m.Else():
-                        m.d.comb += self.freed.eq(~chunk.abort)
-                        m.d.sync += self.bank.eq(self.bank + ~chunk.abort)
+                        m.d.comb += freed.eq(~chunk.abort)
                         with m.If(chunk.end):
                             m.next = "PAD"
             with m.State("BITMAP"):
                 m.d.comb += [
                     wanted.eq(1),
-                    size.eq(Mux(ends, bitmap_tail, WORD_BYTES)),
+                    size.eq(length),
                     piece.source.eq(Source.BITMAP),
                 ]
                 with m.If(go):
-                    go_on()
+                    go_on(WORD_BYTES, bitmap_tail)
                     with m.If(ends):
-                        begin(codes.final)
+                        begin(codes.final, form.code_bits, codes.tail)
                         m.next = "CODES"
             with m.State("CODES"):
                 m.d.comb += [
                     wanted.eq(1),
-                    size.eq(Mux(ends, codes.tail, form.code_bits)),
+                    size.eq(length),
                     align.eq(ends),
                     piece.source.eq(Mux(codes.dense, Source.DENSE, Source.HITS)),
                 ]
                 with m.If(go):
-                    go_on()
+                    go_on(form.code_bits, codes.tail)
                     with m.If(ends):
-                        m.d.comb += self.freed.eq(1)
-                        m.d.sync += self.bank.eq(self.bank + 1)
+                        m.d.comb += freed.eq(1)
                         with m.If(codes.end):
                             m.next = "PAD"
                         with m.Else():

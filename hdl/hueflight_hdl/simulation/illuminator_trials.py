@@ -12,7 +12,6 @@ from itertools import pairwise
 
 import numpy as np
 from amaranth.hdl import Module, Value
-from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
 from hueflight_protocol import decode_request, decode_response, encode_request
@@ -20,10 +19,10 @@ from hueflight_protocol.control import MAX_WORDS, Response, Result, read, write
 from hueflight_protocol.errors import HueflightError
 from hueflight_protocol.illuminator_map import ARM_KEY, Retrigger, TriggerSource
 
+from ..boards.illuminator_pins import GearedTwin
 from ..control.messages import request_stream, response_stream
 from ..designs.illuminator import IlluminatorConfig, IlluminatorCore
 from ..gearing.seam import Gearing
-from ..gearing.simulated import SimulatedGearing
 from ..pulse.config import PulseConfig
 from ..pulse.generator import PulseGenerator
 from ..pulse.model import Choice, Schedule, Train, find_edges, limit, render, serve
@@ -38,30 +37,12 @@ class TrialError(HueflightError):
     """A request in a trial that was not done."""
 
 
-class MessageTwin(wiring.Component):
-    """The illuminator's core between simulated gearings.
-
-    Parameters
-    ----------
-    config : IlluminatorConfig
-    gearing : Gearing
-        Of the board; its twin is simulated.
-    """
+class MessageTwin(GearedTwin):
+    """The illuminator's core between simulated gearings."""
 
     def __init__(self, config: IlluminatorConfig, gearing: Gearing) -> None:
-        self.config = config
-        self.gearing = SimulatedGearing(gearing)
-        lanes, channels = config.pulse.lanes, config.pulse.channels
-        super().__init__(
-            {
-                "requests": In(request_stream()),
-                "responses": Out(response_stream()),
-                "trigger": In(lanes),
-                "levels": Out(data.ArrayLayout(lanes, channels)),
-                "armed": Out(1),
-                "missed": Out(1),
-            }
-        )
+        members = {"requests": In(request_stream()), "responses": Out(response_stream())}
+        super().__init__(config, gearing, members)
 
     def elaborate(self, platform: object) -> Module:
         m = Module()

@@ -17,7 +17,7 @@ from hueflight_protocol.wire import ChunkKind, dense_bytes
 
 TILE = 64  # pixels that are added to the table together or not at all
 SLACK = 8  # bytes that may be read behind a payload: its packet's trailer is longer
-AT_ONCE = 1 << 17  # pixels whose bitmaps are unpacked at once: few enough for the cache
+AT_ONCE = 1 << 16  # pixels whose bitmaps are unpacked at once: few enough for the cache
 ADD, STORE, SATURATE, SUBTRACT = range(4)
 
 _Ints = NDArray[np.intp]
@@ -199,17 +199,9 @@ def _count_sparse(
     """Add bitmap payloads."""
     map_bytes = -(-pixels // 8)
     together = max(1, AT_ONCE // pixels)
-    rows = np.ndarray(octets.size - map_bytes, f"V{map_bytes + 1}", octets, strides=(1,))
     for at in range(0, len(offset), together):
         some = slice(at, at + together)
-        maps = rows[offset[some]].view(np.uint8).reshape(-1, map_bytes + 1)
-        maps[:, map_bytes - 1] &= 0xFF >> -pixels % 8
-        maps[:, map_bytes] = 0xFF >> 8 - -hits[some] % 8  # see `_locate`
-        ones = np.bitwise_count(maps[:, :map_bytes]).sum(axis=1, dtype=np.intp)
-        if (ones == hits[some]).all():
-            index = _locate(octets, offset[some], hits[some], maps, code_bits)
-        else:
-            index = _locate_slowly(octets, offset[some], hits[some], maps, pixels, code_bits)
+        index = _locate(octets, offset[some], hits[some], map_bytes, pixels, code_bits)
         np.add.at(counts.reshape(-1), index, np.uint16(1))
 
 
@@ -217,31 +209,44 @@ def _locate(
     octets: NDArray[np.uint8],
     offset: _Ints,
     hits: _Ints,
-    maps: NDArray[np.uint8],
+    map_bytes: int,
+    pixels: int,
     code_bits: int,
 ) -> _Ints:
     """Which counters (pixel × code) the hits of some frames belong to.
 
     Eight codes are `code_bits` bytes, as in dense payloads. So that a frame's hits are a multiple
-    of eight, its bitmap has one byte more, with a one for each that is missing.
+    of eight, its bitmap gets one byte more, with a one for each that is missing.
     """
-    behind = max(code_bits - 8, 0)
     groups = -(-hits // 8)
-    frame = np.repeat(np.arange(len(hits)), groups)
-    first = np.cumsum(groups) - groups
-    start = (offset + maps.shape[1] - 1 - code_bits * first)[frame]
-    start += code_bits * np.arange(frame.size)
-    words = _words(octets, 8)
-    last = len(words) - 1  # of a last group, only what is there is needed
-    heads = words[np.minimum(start, last)]
-    tails = words[np.minimum(start + behind, last)] if behind else heads
+    most = int(groups.max())
+    size = map_bytes + most * code_bits + 8  # of the longest payload, and some bytes behind it
+    if int(offset.max()) + size > octets.size:
+        return _locate_slowly(octets, offset, hits, map_bytes, pixels, code_bits)
+    rows = np.ndarray(octets.size - size + 1, f"V{size}", octets, strides=(1,))[offset]
+    payloads = rows.view(np.uint8).reshape(-1, size)
+    maps = payloads[:, : map_bytes + 1].copy()
+    maps[:, map_bytes - 1] &= 0xFF >> -pixels % 8
+    maps[:, map_bytes] = 0xFF >> 8 - -hits % 8
+    if (np.bitwise_count(maps).sum(axis=1, dtype=np.intp) != 8 * groups).any():
+        return _locate_slowly(octets, offset, hits, map_bytes, pixels, code_bits)
+
+    there = np.arange(most) < groups[:, None]
+    behind = max(code_bits - 8, 0)
+    heads, tails = (
+        np.ascontiguousarray(
+            np.ndarray(there.shape, "<u8", payloads, map_bytes + skip, (size, code_bits))
+        )[there]
+        for skip in (0, behind)
+    )
     lanes = np.arange(8, dtype=np.uint64)[:, None] * np.uint64(code_bits)
     whole = min(8, 64 // code_bits)  # codes that the first word holds
-    index = np.empty((8, frame.size), np.uint64)
+    index = np.empty((8, heads.size), np.uint64)
     np.right_shift(heads, lanes[:whole], out=index[:whole])
     np.right_shift(tails, lanes[whole:] - np.uint64(8 * behind), out=index[whole:])
     index &= np.uint64((1 << code_bits) - 1)
-    index -= (frame * (8 * maps.shape[1]) << code_bits).astype(np.uint64)
+    base = np.arange(len(maps), dtype=np.uint64) * np.uint64(8 * maps.shape[1] << code_bits)
+    index -= np.repeat(base, groups)
     pixel = np.flatnonzero(np.unpackbits(maps, bitorder="little").view(np.bool_)).view(np.uint64)
     pixel <<= np.uint64(code_bits)
     index += pixel.reshape(-1, 8).T
@@ -252,12 +257,12 @@ def _locate_slowly(
     octets: NDArray[np.uint8],
     offset: _Ints,
     hits: _Ints,
-    maps: NDArray[np.uint8],
+    map_bytes: int,
     pixels: int,
     code_bits: int,
 ) -> _Ints:
-    """As `_locate`, of frames whose bitmaps contradict their hits."""
-    map_bytes = maps.shape[1] - 1
+    """As `_locate`, of frames whose bitmaps contradict their hits or that end with the data."""
+    maps = octets[offset[:, None] + np.arange(map_bytes)]
     bits = np.unpackbits(maps, axis=1, bitorder="little", count=pixels)
     ones = bits.sum(axis=1, dtype=np.intp)
     if (ones > hits).any():  # no more hits than the chunk's word says, whatever the bitmap says

@@ -162,11 +162,12 @@ typedef struct {
 } Pool;
 
 /* One row: weights of all neighbours, sums of their data. `places` are (row step, column step),
- * `kernel` how much each counts by distance. Results are (plane + 3, rows · cols). */
+ * `kernel` how much each counts by distance. Results are (plane + 3, rows · cols). With `groups`,
+ * `planes` and `spectral` known to the compiler all sums stay in registers. */
 INLINE void pool_row(const Pool *pool, int row, const int32_t *places, const float *kernel,
-                     int count, float *result)
+                     int count, float *result, int groups, int planes, int spectral)
 {
-    int cols = pool->cols, planes = pool->planes;
+    int cols = pool->cols;
     int64_t size = (int64_t)pool->rows * cols;
     vec one = fill(1), none = {0};
     for (int col = 0; col < cols; col += LANES) {
@@ -184,7 +185,7 @@ INLINE void pool_row(const Pool *pool, int row, const int32_t *places, const flo
         vec trust = load(wide[0]), information = load(wide[1]);
         int64_t here = (int64_t)(row + pool->rim) * pool->stride + col + pool->rim;
         vec root[MOST_GROUPS], sums[MOST_PLANES];
-        for (int g = 0; g < pool->groups; g++)
+        for (int g = 0; g < groups; g++)
             root[g] = load(pool->roots + g * pool->plane + here);
         for (int m = 0; m < planes; m++)
             sums[m] = none;
@@ -193,7 +194,7 @@ INLINE void pool_row(const Pool *pool, int row, const int32_t *places, const flo
         for (int n = 0; n < count; n++) {
             int64_t there = here + places[2 * n] * pool->stride + places[2 * n + 1];
             vec apart = none;
-            for (int g = 0; g < pool->groups; g++) {
+            for (int g = 0; g < groups; g++) {
                 vec step = load(pool->roots + g * pool->plane + there) - root[g];
                 apart += step * step;
             }
@@ -208,9 +209,9 @@ INLINE void pool_row(const Pool *pool, int row, const int32_t *places, const flo
             total += w;
             squares += w * w;
             depth_squares += d * d;
-            for (int m = 0; m < pool->spectral; m++)
+            for (int m = 0; m < spectral; m++)
                 sums[m] += w * load(pool->data + m * pool->plane + there);
-            for (int m = pool->spectral; m < planes; m++)
+            for (int m = spectral; m < planes; m++)
                 sums[m] += d * load(pool->data + m * pool->plane + there);
         }
         float *to = result + (int64_t)row * cols + col;
@@ -227,8 +228,16 @@ EVERY_WIDTH
 static void pool_rows(const Pool *pool, int first, int last, const int32_t *places,
                       const float *kernel, int count, float *result)
 {
-    for (int row = first; row < last; row++)
-        pool_row(pool, row, places, kernel, count, result);
+    int groups = pool->groups, planes = pool->planes, spectral = pool->spectral;
+    int plain = groups == 3 && planes == spectral + 3;
+    for (int row = first; row < last; row++) {
+        if (plain && spectral == 10) /* nine bands and the background, and depth */
+            pool_row(pool, row, places, kernel, count, result, 3, 13, 10);
+        else if (plain && spectral == 0) /* depth alone */
+            pool_row(pool, row, places, kernel, count, result, 3, 3, 0);
+        else
+            pool_row(pool, row, places, kernel, count, result, groups, planes, spectral);
+    }
 }
 
 /* -- Python --------------------------------------------------------------------------------- */

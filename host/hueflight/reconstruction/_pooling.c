@@ -274,8 +274,8 @@ static PyObject *finish(Py_buffer *held, Py_ssize_t count, int fits)
 
 static int64_t items(const Py_buffer *held, size_t size) { return held->len / (int64_t)size; }
 
-/* list(counts, times, later, reals: period; starts, time, weight): with empty `time` only the
- * entries are counted, into starts[1:]. */
+/* list(counts, times, later, reals: period; starts, time, weight): pixels whose entries have no
+ * room left are counted only, so that starts tells how much room is needed. */
 static PyObject *py_list(PyObject *self, PyObject *args)
 {
     (void)self;
@@ -283,25 +283,23 @@ static PyObject *py_list(PyObject *self, PyObject *args)
     if (!hold(args, 7, 4, held))
         return NULL;
     char type = held[0].format ? held[0].format[0] : 0;
-    int64_t codes = items(&held[1], 4), pixels = items(&held[2], 4);
+    int64_t codes = items(&held[1], 4), pixels = items(&held[2], 4), room = items(&held[5], 4);
     int fits = (type == 'H' || type == 'I' || type == 'f') && items(&held[3], 4) == 1
             && items(&held[0], (size_t)held[0].itemsize) == codes * pixels
-            && items(&held[4], 8) == pixels + 1 && items(&held[5], 4) == items(&held[6], 4);
+            && items(&held[4], 8) == pixels + 1 && room == items(&held[6], 4);
     if (fits) {
         const char *counts = held[0].buf;
         int64_t *starts = held[4].buf, row = codes * held[0].itemsize;
-        float period = *(const float *)held[3].buf;
+        float period = *(const float *)held[3].buf, *time = held[5].buf, *weight = held[6].buf;
         const float *later = held[2].buf;
-        int fill_in = held[5].len > 0;
-        fits = !fill_in || starts[pixels] <= items(&held[5], 4);
+        starts[0] = 0;
         Py_BEGIN_ALLOW_THREADS
-        for (int64_t p = 0; fits && p < pixels; p++) {
-            float *time = fill_in ? (float *)held[5].buf + starts[p] : NULL;
-            float *weight = fill_in ? (float *)held[6].buf + starts[p] : NULL;
-            int64_t found = list_pixel(type, counts + p * row, codes, held[1].buf, later[p],
-                                       period, time, weight);
-            if (!fill_in)
-                starts[p + 1] = found;
+        for (int64_t p = 0; p < pixels; p++) {
+            int written = starts[p] + codes <= room;
+            starts[p + 1] = starts[p]
+                          + list_pixel(type, counts + p * row, codes, held[1].buf, later[p], period,
+                                       written ? time + starts[p] : NULL,
+                                       written ? weight + starts[p] : NULL);
         }
         Py_END_ALLOW_THREADS
     }

@@ -29,6 +29,8 @@ from hueflight.errors import HueflightError
 LANES = 16  #: pixels that the compiled loop takes side by side
 MOST_PLANES, MOST_GROUPS = 40, 8  #: that it has room for
 
+ENTRIES = 12  #: a pixel that photons are at first given room for
+
 Floats = NDArray[np.float32]
 Result = TypeVar("Result")
 
@@ -151,13 +153,13 @@ def list_photons(
         counts = counts.astype(np.float32)
     given = (np.ascontiguousarray(counts), times_ns, offsets_ns, period)
     starts = np.zeros(len(counts) + 1, np.int64)
-    nothing = np.empty(0, np.float32)
-    native.list(*given, starts, nothing, nothing.copy())
-    starts = np.cumsum(starts)
-    time, weight = np.empty(starts[-1], np.float32), np.empty(starts[-1], np.float32)
-    if time.size:
+    room = ENTRIES * len(counts) + times_ns.size
+    while True:
+        time, weight = np.empty((2, room), np.float32)
         native.list(*given, starts, time, weight)
-    return Photons(starts, time, weight)
+        if starts[-1] + times_ns.size <= room:
+            return Photons(starts, time[: starts[-1]], weight[: starts[-1]])
+        room = int(starts[-1]) + times_ns.size
 
 
 def lag_likelihood(

@@ -17,7 +17,6 @@ typedef struct {
 typedef struct {
     float *light, *reference, *correlation, *counts, *steep;
     int32_t *bins, *running, *twice;
-    double *mass, *moment;
 } Sheet;
 
 /* Bins with photons and their counts; returns how many. */
@@ -44,32 +43,48 @@ INLINE int occupied(const float *light, int bins, int32_t *where, float *counts)
 
 #define ABREAST 3 /* vectors of lags that stay in registers */
 
+/* Correlation at the lags of places from `place` on, `vectors` of them. */
+INLINE void correlate_some(const Sheet *sheet, int some, int place, int vectors)
+{
+    vec even[ABREAST] = {0}, odd[ABREAST] = {0};
+    const float *reference = sheet->reference + place;
+    int k = 0;
+    for (; k + 2 <= some; k += 2) {
+        const float *here = reference + sheet->bins[k], *next = reference + sheet->bins[k + 1];
+        vec a = fill(sheet->counts[k]), b = fill(sheet->counts[k + 1]);
+        for (int v = 0; v < vectors; v++) {
+            even[v] += a * load(here + v * LANES);
+            odd[v] += b * load(next + v * LANES);
+        }
+    }
+    if (k < some)
+        for (int v = 0; v < vectors; v++)
+            even[v] += fill(sheet->counts[k]) * load(reference + sheet->bins[k] + v * LANES);
+    for (int v = 0; v < vectors; v++)
+        store(sheet->correlation + place + v * LANES, even[v] + odd[v]);
+}
+
 /* Correlation at the lags of places [from, to) of the sheet, whole vectors of them. */
 INLINE void correlate(const Sheet *sheet, int some, int from, int to)
 {
-    for (int j = from; j < to; j += ABREAST * LANES) {
-        vec even[ABREAST] = {0}, odd[ABREAST] = {0};
-        const float *reference = sheet->reference + j;
-        int k = 0;
-        for (; k + 2 <= some; k += 2) {
-            const float *here = reference + sheet->bins[k], *next = reference + sheet->bins[k + 1];
-            vec a = fill(sheet->counts[k]), b = fill(sheet->counts[k + 1]);
-            for (int v = 0; v < ABREAST; v++) {
-                even[v] += a * load(here + v * LANES);
-                odd[v] += b * load(next + v * LANES);
-            }
-        }
-        if (k < some)
-            for (int v = 0; v < ABREAST; v++)
-                even[v] += fill(sheet->counts[k]) * load(reference + sheet->bins[k] + v * LANES);
-        for (int v = 0; v < ABREAST && j + v * LANES < to; v++)
-            store(sheet->correlation + j + v * LANES, even[v] + odd[v]);
-    }
+    int place = from;
+    for (; to - place > 2 * LANES; place += ABREAST * LANES)
+        correlate_some(sheet, some, place, ABREAST);
+    for (; place < to; place += LANES)
+        correlate_some(sheet, some, place, 1);
 }
 
 /* Sums of a vector up to each lane, the lane itself included. */
 INLINE ivec up_to_lane(ivec x)
 {
+#if defined(__AVX512F__) && LANES == 16
+    __m512i y = (__m512i)x, nothing = _mm512_setzero_si512();
+    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 15));
+    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 14));
+    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 12));
+    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 8));
+    return (ivec)y;
+#endif
     ivec lanes = lane_numbers();
     for (int by = 1; by < LANES; by *= 2)
         x += (lanes >= by) & (ivec)picked((vec)x, (lanes - by) & (LANES - 1));
@@ -108,26 +123,47 @@ INLINE vec weighed(const float *a, const float *b, int count)
     return even + odd;
 }
 
-/* Integrals of the weight above the pedestal, and of its first moment, up to each lag's edge. */
-INLINE void integrate(const Paper *paper, const Sheet *sheet, float pedestal, int low, int high)
+#define HALF (LANES / 2)
+typedef double wide __attribute__((vector_size(8 * HALF)));
+typedef int64_t wide_mask __attribute__((vector_size(8 * HALF)));
+typedef float half __attribute__((vector_size(4 * HALF), aligned(4)));
+
+/* Clipped to 0 … 1. */
+INLINE wide share(wide x)
 {
-    double mass = 0, moment = 0;
-    for (int k = low; k < high; k++) {
-        float above = sheet->correlation[2 * paper->most - k] - pedestal;
-        double weight = above > 0 ? (double)above : 0;
-        sheet->mass[k] = mass;
-        sheet->moment[k] = moment;
-        mass += weight;
-        moment += weight * (k - paper->most);
-    }
-    sheet->mass[high] = mass;
-    sheet->moment[high] = moment;
+    wide_mask above = x > 0.0, below = x < 1.0;
+    wide one = x * 0.0 + 1.0;
+    return (wide)(above & ((below & (wide_mask)x) | (~below & (wide_mask)one)));
 }
 
-INLINE double between(const double *table, int last, double position)
+INLINE double total(wide x)
 {
-    int i = (int)position < last ? (int)position : last - 1;
-    return table[i] + (table[i + 1] - table[i]) * (position - i);
+    double whole = 0;
+    for (int lane = 0; lane < HALF; lane++)
+        whole += x[lane];
+    return whole;
+}
+
+/* Integral of the weight above the pedestal between two edges of lags, and of its first moment.
+ * Edges count from the first lag. */
+INLINE void integrate(const Paper *paper, const Sheet *sheet, float pedestal, double from, double to,
+                      double *mass, double *moment)
+{
+    int last = 2 * paper->most, place = last + 1 - (int)ceil(to);
+    wide inside = {0}, first = {0};
+    wide lag;
+    for (int lane = 0; lane < HALF; lane++)
+        lag[lane] = last - place - lane;
+    for (; place <= last - (int)from; place += HALF, lag -= HALF) {
+        wide above = __builtin_convertvector(*(const half *)(sheet->correlation + place), wide);
+        above -= (double)pedestal;
+        wide weight = (wide)((above > 0.0) & (wide_mask)above);
+        weight *= share(to - lag) - share(from - lag);
+        inside += weight;
+        first += weight * (lag - (double)paper->most);
+    }
+    *mass = total(inside);
+    *moment = total(first);
 }
 
 INLINE double clipped(double x, double low, double high)
@@ -157,7 +193,6 @@ INLINE double centroid(const Paper *paper, const Sheet *sheet, int some, float *
         best--;
     *pedestal = least;
     double delay = most - best, edge = most + 0.5;
-    integrate(paper, sheet, least, *low, *high);
     for (int round = 0; round < 3; round++) {
         double from = clipped(delay - paper->half_width, -edge, edge) + edge;
         double to = clipped(delay + paper->half_width, -edge, edge) + edge;
@@ -165,10 +200,9 @@ INLINE double centroid(const Paper *paper, const Sheet *sheet, int some, float *
             correlate(sheet, some, 0, 2 * most + 1 - *high);
             correlate(sheet, some, 2 * most + 1 - *low, 2 * most + 1);
             *low = 0, *high = 2 * most + 1;
-            integrate(paper, sheet, least, *low, *high);
         }
-        double inside = between(sheet->mass, *high, to) - between(sheet->mass, *high, from);
-        double first = between(sheet->moment, *high, to) - between(sheet->moment, *high, from);
+        double inside, first;
+        integrate(paper, sheet, least, from, to, &inside, &first);
         if (inside > 0)
             delay = first / inside;
         delay = clipped(delay, -paper->search, paper->search);
@@ -226,8 +260,7 @@ INLINE void correlate_pixel(const Paper *paper, const Sheet *sheet, const uint16
     int bins = paper->bins, reach = paper->reach, most = paper->most;
     memcpy(sheet->light, sheet->light + bins, (size_t)reach * sizeof(float));
     memcpy(sheet->light + bins + reach, sheet->light + reach, (size_t)reach * sizeof(float));
-    for (int i = 0; i < bins; i++)
-        sheet->reference[most + i] = (float)reference[i];
+    widen(reference, bins, sheet->reference + most);
     int some = occupied(sheet->light + reach, bins, sheet->bins, sheet->counts);
     sum_up(sheet->light, bins + 2 * reach, sheet->running + 1, sheet->twice + 2);
     int low = most - paper->search, high = most + paper->search + 1;
@@ -257,8 +290,7 @@ INLINE void correlate_pixel(const Paper *paper, const Sheet *sheet, const uint16
 
 static size_t sheet_bytes(const Paper *paper)
 {
-    return 10 * 4 * (size_t)(paper->bins + 2 * paper->most + 2 * paper->reach + 8 * LANES) + 64 * 12
-         + 2 * 8 * (size_t)(2 * paper->most + 4);
+    return 10 * 4 * (size_t)(paper->bins + 2 * paper->most + 2 * paper->reach + 8 * LANES) + 64 * 12;
 }
 
 static void lay_out(const Paper *paper, char *place, Sheet *sheet)
@@ -269,6 +301,4 @@ static void lay_out(const Paper *paper, char *place, Sheet *sheet)
                       (char **)&sheet->bins, (char **)&sheet->running, (char **)&sheet->twice};
     for (size_t i = 0; i < sizeof parts / sizeof *parts; i++, place += (room + 63) / 64 * 64)
         *parts[i] = place;
-    sheet->mass = (double *)place;
-    sheet->moment = sheet->mass + 2 * paper->most + 4;
 }

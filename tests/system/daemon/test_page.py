@@ -16,7 +16,7 @@ from hueflight.recording import open_recording
 
 Start = Callable[[], Daemon]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
-DEPTH_IS_A_PICTURE = """() => {
+COLOURS_ON_THE_PLANE = """() => {
   const canvas = document.getElementById("plane"), gl = canvas.getContext("webgl2");
   const pixels = new Uint8Array(4 * canvas.width * canvas.height);
   gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
@@ -72,11 +72,19 @@ def test_a_session_at_the_instrument(
 
     page.focus("#view")
     page.keyboard.press("1")
-    until(lambda: page.evaluate(DEPTH_IS_A_PICTURE) > 50, "depth is drawn in many colours")
+    until(lambda: page.evaluate(COLOURS_ON_THE_PLANE) > 50, "depth is drawn in many colours")
     for key, view in zip("2345", ("colour", "bands", "points", "photons"), strict=True):
         page.keyboard.press(key)
         assert page.get_attribute(f"[data-view={view}]", "aria-selected") == "true"
+    page.keyboard.press("2")
+    until(lambda: page.evaluate(COLOURS_ON_THE_PLANE) > 50, "all bands together give colours")
+    assert page.is_visible("#three")
+    page.check("#three")
+    until(lambda: page.evaluate(COLOURS_ON_THE_PLANE) > 50, "three bands give colours")
+    page.uncheck("#three")
+    page.focus("#view")
     page.keyboard.press("1")
+    page.wait_for_selector("#three", state="hidden")
 
     page.keyboard.press("ArrowRight")
     wait("#pixel-place", "row 24, column 17")

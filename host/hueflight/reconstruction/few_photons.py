@@ -18,7 +18,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
@@ -171,7 +170,7 @@ class _Sight:
         """Delay (row, col) of the highest of sums (row, col, lag), freed of strays."""
         spacing_ns = self.lags_ns[1] - self.lags_ns[0]
         delays = self.lags_ns[0] + _peak(sums) * spacing_ns
-        return median_filter(delays.astype(np.float32), 3, mode="nearest")
+        return _median_of_nine(delays.astype(np.float32))
 
 
 def _sight(
@@ -238,6 +237,27 @@ def _sharpened(
             pixels=found.weight**2 / np.maximum(found.squares, TINY),
         )
     return pilot
+
+
+def _median_of_nine(values: Floats) -> Floats:
+    """Median (row, col) of squares of three, as scipy.ndimage.median_filter, many times faster.
+
+    Of three columns sorted each: the median of the highest low, the middle middle and the lowest
+    high.
+    """
+    edged = np.pad(values, 1, mode="edge")
+    columns = _sorted(edged[:-2], edged[1:-1], edged[2:])
+    low, middle, high = ((part[:, :-2], part[:, 1:-1], part[:, 2:]) for part in columns)
+    least = np.maximum(np.maximum(*low[:2]), low[2])
+    most = np.minimum(np.minimum(*high[:2]), high[2])
+    return _sorted(least, _sorted(*middle)[1], most)[1]
+
+
+def _sorted(a: Floats, b: Floats, c: Floats) -> tuple[Floats, Floats, Floats]:
+    """Three arrays, at every place in order."""
+    a, b = np.minimum(a, b), np.maximum(a, b)
+    b, c = np.minimum(b, c), np.maximum(b, c)
+    return np.minimum(a, b), np.maximum(a, b), c
 
 
 def _peak(values: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
 import hueflight as hf
 from hueflight import simulator
@@ -266,6 +266,13 @@ def test_list_of_photons_is_the_histogram(monkeypatch, backend):
     code = np.rint(photons.times_ns + offsets[photons.owners]).astype(int) % 37
     np.add.at(again, (photons.owners, code), photons.weights.astype(np.uint16))
     np.testing.assert_array_equal(again[:, 1:], counts[:, 1:])
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 7), (31, 20)])
+def test_median_of_nine_is_scipys(shape):
+    values = np.random.default_rng(4).integers(0, 9, shape).astype(np.float32)
+    expected = median_filter(values, 3, mode="nearest")
+    np.testing.assert_array_equal(few_photons._median_of_nine(values), expected)
 
 
 def test_bad_calls(instrument, calibration, draw, monkeypatch):

@@ -4,7 +4,7 @@
 typedef struct {
     int count;
     int32_t *bins;
-    float *counts, *flat, *means; /* counted; expected of flat light; of parameters on trial */
+    float *counts, *flat, *means; /* counted; 1 ÷ expected of flat light; of parameters on trial */
 } Lit;
 
 /* `place` has room for four vectors a block. */
@@ -12,13 +12,9 @@ INLINE Lit lit_bins(const Level *level, const float *counts, float total, float 
 {
     size_t room = (size_t)level->blocks * LANES;
     Lit lit = {0, (int32_t *)place, place + room, place + 2 * room, place + 3 * room};
-    for (int i = 0; i < level->bins; i++) {
-        lit.bins[lit.count] = i;
-        lit.counts[lit.count] = counts[i];
-        lit.count += counts[i] > 0;
-    }
+    lit.count = occupied(counts, level->bins, lit.bins, lit.counts);
     for (int i = 0; i < lit.count; i++)
-        lit.flat[i] = total * level->widths[lit.bins[i]] + LEAST;
+        lit.flat[i] = 1 / (total * level->widths[lit.bins[i]] + LEAST);
     for (int i = lit.count; i % LANES; i++) {
         lit.counts[i] = 0;
         lit.means[i] = lit.flat[i] = 1;
@@ -30,13 +26,19 @@ INLINE Lit lit_bins(const Level *level, const float *counts, float total, float 
  * would lose single precision's digits. */
 INLINE double log_likelihood(const Level *level, const Lit *lit, float total, const vec *means)
 {
-    vec excess = {0}, gain = {0};
-    for (int v = 0; v < level->blocks; v++)
+    vec excess = {0}, odd = {0}, gain = {0};
+    int v = 0;
+    for (; v + 2 <= level->blocks; v += 2) {
         excess += means[v] - total * load(level->widths + v * LANES);
+        odd += means[v + 1] - total * load(level->widths + (v + 1) * LANES);
+    }
+    if (v < level->blocks)
+        excess += means[v] - total * load(level->widths + v * LANES);
+    excess += odd;
     for (int i = 0; i < lit->count; i++)
         lit->means[i] = ((const float *)means)[lit->bins[i]];
     for (int i = 0; i < lit->count; i += LANES)
-        gain += load(lit->counts + i) * logarithm(load(lit->means + i) / load(lit->flat + i));
+        gain += load(lit->counts + i) * logarithm(load(lit->means + i) * load(lit->flat + i));
     return (double)sum(gain) - (double)sum(excess);
 }
 

@@ -1,8 +1,5 @@
 /* The paper's method on one pixel: correlation with its reference, centroid, window sums. paper.py
  * is its definition. Counts are whole numbers, so that sums of them are exact. */
-#ifdef __AVX512F__
-#include <immintrin.h>
-#endif
 
 /* What all pixels share. Lags are counted from −most to most. */
 typedef struct {
@@ -18,28 +15,6 @@ typedef struct {
     float *light, *reference, *correlation, *counts, *steep;
     int32_t *bins, *running, *twice;
 } Sheet;
-
-/* Bins with photons and their counts; returns how many. */
-INLINE int occupied(const float *light, int bins, int32_t *where, float *counts)
-{
-    int some = 0, i = 0;
-#if defined(__AVX512F__) && LANES == 16
-    for (; i + LANES <= bins; i += LANES) {
-        __m512 h = _mm512_loadu_ps(light + i);
-        __mmask16 there = _mm512_cmp_ps_mask(h, _mm512_setzero_ps(), _CMP_NEQ_OQ);
-        __m512i number = _mm512_add_epi32((__m512i)lane_numbers(), _mm512_set1_epi32(i));
-        _mm512_storeu_si512(where + some, _mm512_maskz_compress_epi32(there, number));
-        _mm512_storeu_ps(counts + some, _mm512_maskz_compress_ps(there, h));
-        some += __builtin_popcount(there);
-    }
-#endif
-    for (; i < bins; i++) {
-        where[some] = i;
-        counts[some] = light[i];
-        some += light[i] != 0;
-    }
-    return some;
-}
 
 #define ABREAST 3 /* vectors of lags that stay in registers */
 

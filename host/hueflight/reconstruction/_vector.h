@@ -4,6 +4,9 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#ifdef __AVX512F__
+#include <immintrin.h>
+#endif
 
 #ifndef LANES
 #define LANES 16
@@ -89,4 +92,26 @@ INLINE vec logarithm(vec x)
     vec series = 0.2f + s * (0.142857143f + s * (0.111111111f + s * 0.0909090909f));
     series = s * (0.333333333f + s * series);
     return 2.0f * f + 2.0f * f * series + e * 0.693147181f;
+}
+
+/* Places and values of what is not 0; returns how many. */
+INLINE int occupied(const float *from, int count, int32_t *where, float *values)
+{
+    int some = 0, i = 0;
+#if defined(__AVX512F__) && LANES == 16
+    for (; i + LANES <= count; i += LANES) {
+        __m512 h = _mm512_loadu_ps(from + i);
+        __mmask16 there = _mm512_cmp_ps_mask(h, _mm512_setzero_ps(), _CMP_NEQ_OQ);
+        __m512i number = _mm512_add_epi32((__m512i)lane_numbers(), _mm512_set1_epi32(i));
+        _mm512_storeu_si512(where + some, _mm512_maskz_compress_epi32(there, number));
+        _mm512_storeu_ps(values + some, _mm512_maskz_compress_ps(there, h));
+        some += __builtin_popcount(there);
+    }
+#endif
+    for (; i < count; i++) {
+        where[some] = i;
+        values[some] = from[i];
+        some += from[i] != 0;
+    }
+    return some;
 }

@@ -11,9 +11,9 @@ from hueflight.reconstruction import fit as definition
 from hueflight.reconstruction import kernels
 from hueflight.reconstruction.fit import Switches
 from hueflight.reconstruction.joint import plan_for
-from hueflight.reconstruction.kernels import BUILDS, compiled_kernel, fit_pixels
+from hueflight.reconstruction.kernels import BUILDS, fit_pixels
 
-compiled = pytest.mark.skipif(compiled_kernel() is None, reason="no compiled fit was built")
+compiled = pytest.mark.usefixtures("compiled_fit")
 
 
 @pytest.fixture(scope="module")

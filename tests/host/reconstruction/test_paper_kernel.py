@@ -10,7 +10,7 @@ import hueflight as hf
 from hueflight.reconstruction import kernels, paper, paper_compiled
 from hueflight.reconstruction.kernels import BUILDS, compiled_kernel
 
-compiled = pytest.mark.skipif(compiled_kernel() is None, reason="no compiled kernel was built")
+compiled = pytest.mark.usefixtures("compiled_fit")
 
 
 @pytest.fixture(scope="module")

@@ -135,7 +135,7 @@ def test_a_loose_target_in_metres_leaves_the_fine_steps_out(setting):
     assert 0 < float(np.sqrt((apart**2).mean())) < 0.3
 
 
-@pytest.mark.skipif(kernels.compiled_kernel() is None, reason="no compiled fit was built")
+@pytest.mark.usefixtures("compiled_fit")
 def test_bins_without_a_pulse(setting, monkeypatch):
     instrument, calibration, counts = setting
     plan = plan_for(calibration, (-14.0, 14.0))

@@ -324,7 +324,7 @@ def test_no_more_steps_than_allowed(rig):
         assert np.isfinite(values).all()
 
 
-@pytest.mark.skipif(compiled_kernel() is None, reason="no compiled fit was built")
+@pytest.mark.usefixtures("compiled_fit")
 @pytest.mark.parametrize("backend", ["c"], indirect=True)
 def test_single_precision_is_enough(rig, draw, backend):
     """The compiled fit (single) against its definition (double): a thousandth of a deviation."""

@@ -89,7 +89,7 @@ def test_switched_off(setting):
     np.testing.assert_array_equal(image["depth"], hf.reconstruct(shot(2), calibration)["depth"])
 
 
-@pytest.mark.skipif(kernels.compiled_kernel() is None, reason="no compiled fit was built")
+@pytest.mark.usefixtures("compiled_fit")
 def test_compiled_contrasts_are_those_of_the_definition(setting):
     calibration, shot = setting
     plan = plan_for(calibration, (-15.0, 15.0))

@@ -40,6 +40,7 @@ from hueflight.reconstruction.pools import (
     grown,
     likeness,
     slots_of,
+    unmixed_of,
 )
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.slots import Tables, tables_for
@@ -316,10 +317,8 @@ def _in_metres(
     deviation_ns = np.sqrt(pools.variances)
     known_ns = calibration.pixel_delay_std_ns / np.sqrt(np.maximum(pools.depth_pixels, 1))
     depth_std = np.hypot(deviation_ns, known_ns) * along_axis
-    unmixed = np.tensordot(tables.unmixing, pools.slots, axes=(1, 0))
-    variance = np.tensordot(tables.unmixing**2, pools.slots, axes=(1, 0)) / np.maximum(
-        pools.pixels, 1e-12
-    )
+    unmixed = unmixed_of(pools.slots, tables.unmixing)
+    variance = unmixed_of(pools.slots, tables.unmixing**2) / np.maximum(pools.pixels, 1e-12)
     photons = pools.slots.sum(axis=0).astype(np.float64)
     scale = joint._reflectance_scale(
         photons, frames, calibration, pileup_correction=pileup_correction

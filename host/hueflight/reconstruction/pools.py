@@ -140,9 +140,18 @@ def likeness(pools: Pools, slots: Floats, usable: NDArray[np.bool_], tables: Tab
     """What neighbours are judged by; the image's mean keeps empty pools from being sure."""
     mean = slots.sum(axis=(1, 2)) / max(int(usable.sum()), 1)
     prior = (tables.groups.T @ mean * PRIOR_PIXELS)[:, None, None]
-    groups = np.tensordot(tables.groups, pools.slots, axes=(0, 0))
+    groups = np.einsum("sg,srp->grp", tables.groups, pools.slots)
     means = (groups * pools.pixels + prior) / (pools.pixels + np.float32(PRIOR_PIXELS))
     return Likeness(means, pools.delays_ns, pools.pixels, pools.information)
+
+
+def unmixed_of(slots: Floats, unmixing: Floats) -> Floats:
+    """Amplitudes (band, row, col), background last, behind photons in slots.
+
+    Not a matrix product: threads of the linear algebra would wait for one another longer than so
+    small a one takes.
+    """
+    return np.einsum("as,srp->arp", unmixing, slots)
 
 
 def _scored(
@@ -150,7 +159,7 @@ def _scored(
 ) -> tuple[Floats, Floats]:
     """Score and information (row, col) of the delays, given photons in slots around a pixel."""
     total = spectrum.sum(axis=0)
-    unmixed = np.tensordot(tables.unmixing, spectrum, axes=(1, 0))
+    unmixed = unmixed_of(spectrum, tables.unmixing)
     unmixed = np.maximum(unmixed, FLOOR * total + np.float32(1e-9))
     amplitudes = np.moveaxis(unmixed[:-1], 0, -1).reshape(-1, tables.bands)
     floors = (unmixed[-1] / np.float32(tables.period_ns)).ravel()

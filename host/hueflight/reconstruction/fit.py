@@ -5,9 +5,9 @@ Maximum likelihood for Poisson counts, in four steps:
 1. *Search*: the likelihood over whole lags, each band free to be dark or bright.
 2. *Scoring*: Fisher's method of scoring (weighted least squares with the model's own variances,
    Osborne, Int. Stat. Rev. 60, 1992), first at the bins of the search, then at the full
-   width, until the delay moves no more than a fraction of its standard deviation. With steps or
-   background in the weights too few, photons at the pulses' feet pass for background: up to a
-   tenth of a photon of each band.
+   width, until the delay moves no more than a fraction of its standard deviation. Few photons
+   take a second step, and the weights assume some background: else photons at the pulses' feet
+   pass for background, up to a tenth of one of each band.
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
 4. *Posterior*: where photons are few the likelihood is not a parabola; the delay and its
    deviation are then the mean and deviation of the likelihood on a few delays around its

@@ -115,9 +115,8 @@ def growth() -> None:
     print(table(["sensor", "frames", "best of 9, one thread"], rows))
 
 
-def skips() -> None:
-    """What a scene lacks is not paid for."""
-    paper = Instrument.load("paper")
+def lacking() -> dict[str, bytes]:
+    """Packets of full frames, and of frames that lack most of it."""
     full = list(uniform_codes(FRAMES, 192, 128, 1.0))
 
     def changed(change: Callable[[np.ndarray], np.ndarray]) -> bytes:
@@ -131,12 +130,18 @@ def skips() -> None:
         frame[frame > 10] = 0  # a gate of 10 codes in 498
         return frame
 
-    streams = {
+    return {
         "full frame": packets_of(iter(full)),
         "empty frame": changed(lambda frame: frame * 0),
         "95 % of the rows masked": changed(rows_masked),
         "98 % of the codes gated": changed(gated),
     }
+
+
+def skips() -> None:
+    """What a scene lacks is not paid for."""
+    paper = Instrument.load("paper")
+    streams = lacking()
     counts = np.zeros(paper.histogram_shape, np.uint16)
 
     def count(packets: bytes) -> Callable[[], object]:
@@ -167,19 +172,28 @@ def instructions(gate: float | None) -> None:
     worst = 0.0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        program = folder / "instructions"
+        program, stream = folder / "instructions", folder / "packets"
         source = Path(__file__).parent / "_instructions.c"
         include = f"-I{ROOT / 'host' / 'hueflight' / 'ingest'}"
         subprocess.run(["gcc", "-O3", "-g", include, str(source), "-o", str(program)], check=True)
         for occupancy in (0.0, *OCCUPANCIES):
-            stream = folder / "packets"
             stream.write_bytes(packets_of(uniform_codes(FRAMES, 192, 128, occupancy)))
             scan, count = (_collected(program, stream, f) for f in ("scan", "count"))
             if occupancy == 1.0:
                 worst = count
             rows.append([f"{occupancy}", f"{scan:.2f}", f"{count:.2f}", f"{scan + count:.2f}"])
+        lacks = {}
+        for name, packets in lacking().items():
+            stream.write_bytes(packets)
+            lacks[name] = [_collected(program, stream, f) for f in ("scan", "count")]
     print("## Instructions per pixel (callgrind, 620 frames)\n")
     print(table(["occupancy", "scan and CRC", "count", "both"], rows))
+    full = sum(lacks["full frame"])
+    rows = [
+        [name, f"{scan:.2f}", f"{count:.2f}", f"{(scan + count) / full:.3f}"]
+        for name, (scan, count) in lacks.items()
+    ]
+    print(table(["frames", "scan and CRC", "count", "both, of a full one"], rows))
     if gate is not None and worst > gate:
         raise SystemExit(f"dense counting takes {worst:.2f} instructions per pixel, over {gate}")
 

@@ -147,3 +147,20 @@ def test_light_that_does_not_fit_the_plan(plans):
     _, plan = plans[0.0]
     with pytest.raises(HueflightError, match=r"needs \(pixel, 499\)"):
         fit_pixels(np.ones((2, 500), np.uint16), np.zeros(2), plan)
+
+
+@pytest.mark.parametrize("tail_ns", [0.0, 6.0])
+@pytest.mark.parametrize("photons", [50, 200])
+def test_few_delays_integrate_a_posterior_as_well_as_many(
+    plans, draw, monkeypatch, tail_ns, photons
+):
+    instrument, plan = plans[tail_ns]
+    counts = draw(instrument, depth=0.9, photons=photons, background=0.1 * photons, frames=10**7)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    few = definition.fit(light, np.zeros(144), plan)
+    monkeypatch.setattr(definition, "NODES", 25)
+    monkeypatch.setattr(definition, "NODE_SPACING", 0.4)
+    many = definition.fit(light, np.zeros(144), plan)
+    apart = np.abs(few.delay_ns - many.delay_ns) / many.delay_std_ns
+    assert 0 < np.sqrt(np.mean(apart**2)) < 0.02
+    assert np.abs(few.delay_std_ns / many.delay_std_ns - 1).mean() < 0.01

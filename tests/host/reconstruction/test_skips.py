@@ -153,9 +153,11 @@ def test_bins_without_a_pulse(setting, monkeypatch):
 
 
 @pytest.mark.parametrize("backend", ["c", "numpy"])
-def test_chosen_rows_and_hidden_photons_are_undone_on_the_way(setting, monkeypatch, backend):
-    if backend == "c" and kernels.compiled_kernel() is None:
-        pytest.skip("no compiled fit was built")
+def test_chosen_rows_and_hidden_photons_are_undone_on_the_way(
+    request, setting, monkeypatch, backend
+):
+    if backend == "c":
+        request.getfixturevalue("compiled_fit")
     monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
     instrument, calibration, counts = setting
     plan = plan_for(calibration, (-15.0, 15.0))
@@ -180,6 +182,24 @@ def test_sums_of_every_type(setting, monkeypatch):
         np.testing.assert_array_equal(kernels.photon_sums(light.astype(dtype)), expected)
         np.testing.assert_array_equal(kernels.photon_sums(light.astype(dtype)[:, ::-1]), expected)
     np.testing.assert_array_equal(kernels.photon_sums(light), expected)
+
+
+@pytest.mark.parametrize("backend", ["c", "numpy"])
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.float32])
+@pytest.mark.parametrize("step", [1, -1])
+def test_sums_of_some_codes_and_full_counters(request, monkeypatch, backend, dtype, step):
+    if backend == "c":
+        request.getfixturevalue("compiled_fit")
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
+    counts = np.random.default_rng(1).integers(0, 900, (7, 45)).astype(dtype)
+    if dtype != np.float32:
+        counts[3, 20] = np.iinfo(dtype).max
+    counts = counts[:, ::step]
+    for lit in (slice(None), slice(1, 40), slice(30, 45), slice(8, 8)):
+        sums, inside, full = kernels.survey(counts, lit)
+        np.testing.assert_array_equal(sums, counts.sum(axis=-1, dtype=np.float64))
+        np.testing.assert_array_equal(inside, counts[:, lit].sum(axis=-1, dtype=np.float64))
+        np.testing.assert_array_equal(np.flatnonzero(full), [] if dtype == np.float32 else [3])
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.uint64])

@@ -94,7 +94,7 @@ def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
     page: Page = context.new_page()
     page.set_default_timeout(PATIENCE_S * 1e3)
     page.goto(url)
-    page.wait_for_function("document.querySelector('#state').textContent === 'live'")
+    page.wait_for_function("() => document.querySelector('#state').textContent === 'live'")
     page.wait_for_selector("#hint", state="hidden")
     page.focus("#view")
     page.keyboard.press(key)
@@ -102,7 +102,7 @@ def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
         page.keyboard.press(pressed)
     if keys:
         page.wait_for_function(
-            "document.querySelector('#pixel-note').textContent.includes('photons in')"
+            "() => document.querySelector('#pixel-note').textContent.includes('photons in')"
         )
     page.wait_for_timeout(7000)  # until the window of frames is full and the figures are steady
     page.screenshot(path=IMAGES / f"{name}.png", timeout=PATIENCE_S * 1e3)

@@ -38,6 +38,7 @@ SETTLE_S = 8.0  #: before a measurement: the browser's first pictures are slow
 TRIAL_S = 20.0
 SLOWER = 0.85  #: of the rate, when frames were lost
 LEAST = 0.1  #: of the rate asked for: no slower trials
+BISECTIONS = 9  #: on the way to an exposure that gives the occupancy asked for
 TOLD_S = 0.5  #: how often the emulated camera tells what it has taken
 BROWSER = [
     "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader",
@@ -61,15 +62,21 @@ def brightened(instrument: Instrument, occupancy: float) -> Instrument:
     """An instrument whose exposures are as long as the scene needs for a mean occupancy."""
     from hueflight.devices.frame_bank import simulated_packets
 
-    for _ in range(3):  # pixels differ in brightness, so the law of the mean is not exact
-        packets = simulated_packets("scene", instrument.to_json(), "fig1", 0.4, 8, 1)
-        counts, _ = accumulate(b"".join(packets), instrument)
-        seen = counts[..., 1:].sum() / counts.sum()
-        factor = np.log1p(-occupancy) / np.log1p(-seen)
-        exposure_ms = (instrument.sensor.exposure_ms or 1.0) * float(factor)
+    def exposed(exposure_ms: float) -> Instrument:
         sensor = msgspec.structs.replace(instrument.sensor, exposure_ms=exposure_ms)
-        instrument = instrument.replace(sensor=sensor)
-    return instrument
+        return instrument.replace(sensor=sensor)
+
+    shortest, longest = 0.01, 100.0
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(shortest * longest))
+        text = exposed(middle).to_json()
+        packets = simulated_packets("scene", text, "fig1", 0.4, 2, 1)
+        counts, _ = accumulate(b"".join(packets), instrument)
+        if counts[..., 1:].sum() < occupancy * counts.sum():
+            shortest = middle
+        else:
+            longest = middle
+    return exposed(shortest)
 
 
 def serve(arguments: argparse.Namespace) -> None:

@@ -37,7 +37,6 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disa
 SHOTS = (
     ("daemon-depth", "1", "dark", (1366, 900), ("ArrowRight", "Shift+ArrowUp")),
     ("daemon-bands", "3", "light", (1366, 900), ("Shift+ArrowDown", "Shift+ArrowRight")),
-    ("daemon-points", "4", "dark", (1366, 900), ()),
     ("daemon-phone", "2", "light", (390, 844), ("ArrowRight",)),
 )
 
@@ -100,10 +99,9 @@ def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
     page.keyboard.press(key)
     for pressed in keys:
         page.keyboard.press(pressed)
-    if keys:
-        page.wait_for_function(
-            "() => document.querySelector('#pixel-note').textContent.includes('photons in')"
-        )
+    page.wait_for_function(
+        "() => document.querySelector('#pixel-note').textContent.includes('photons in')"
+    )
     page.wait_for_timeout(7000)  # until the window of frames is full and the figures are steady
     page.screenshot(path=IMAGES / f"{name}.png", timeout=PATIENCE_S * 1e3)
     context.close()

@@ -36,7 +36,8 @@ def tables(run: dict[str, Any]) -> str:
     ]  # fmt: skip
     if not run["record_s"]:
         what = [row for row in what if row[0] != "recorded"]
-    parts = [table(["what", "value"], what)]
+    command = f"`python tools/bench/daemon.py {run['arguments']}`".replace(" `", "`")
+    parts = [f"{command}\n", table(["what", "value"], what)]
     delays = run["latency_s"]
     if delays:
         names = {"p50": "median", "p95": "95 %", "p99": "99 %"} | {
@@ -75,8 +76,9 @@ def plot(path: Path, run: dict[str, Any]) -> None:
     samples = run["samples"]
     seconds = [sample["time_s"] for sample in samples]
     figure, axes = plt.subplots(4, sharex=True, figsize=(7, 8), layout="constrained")
-    axes[0].plot(seconds, [sample["memory_mb"] for sample in samples], color="tab:blue")
-    axes[0].set(ylabel="memory (MB)", ylim=(0, None))
+    memory = [sample["memory_mb"] for sample in samples]
+    axes[0].plot(seconds, memory, color="tab:blue")
+    axes[0].set(ylabel="memory (MB)", ylim=(0, 1.2 * max(memory)))
     for place in run["lost"]:
         axes[1].plot(seconds, [sample["lost"][place] for sample in samples], label=place)
     most = max(max(sample["lost"].values()) for sample in samples)

@@ -373,7 +373,7 @@ def main() -> None:
         return
     rate_hz, trials = highest_rate(arguments) if arguments.search else (arguments.rate, [])
     run = measure(arguments, rate_hz, arguments.seconds)
-    run |= {"trials": trials, "trial_s": TRIAL_S}
+    run |= {"trials": trials, "trial_s": TRIAL_S, "arguments": " ".join(sys.argv[1:])}
     print(tables(run))
     if arguments.plot:
         plot(arguments.plot, run)

@@ -43,6 +43,7 @@ from hueflight.reconstruction.pools import (
     unmixed_of,
 )
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.reflectance import reflectance_scale
 from hueflight.reconstruction.slots import Tables, tables_for
 
 LAG_PER_FWHM = 0.28  #: between delays of the pilot, in pulses of the shortest band
@@ -320,9 +321,7 @@ def _in_metres(
     unmixed = unmixed_of(pools.slots, tables.unmixing)
     variance = unmixed_of(pools.slots, tables.unmixing**2) / np.maximum(pools.pixels, 1e-12)
     photons = pools.slots.sum(axis=0).astype(np.float64)
-    scale = joint._reflectance_scale(
-        photons, frames, calibration, pileup_correction=pileup_correction
-    )
+    scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
     if range_correction:
         ratio = depth / calibration.distance if calibration.distance > 0 else np.nan * depth
         scale = scale * ratio**2

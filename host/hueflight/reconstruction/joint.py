@@ -15,18 +15,14 @@ from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.fit import Fit
 from hueflight.reconstruction.image import Estimates
 from hueflight.reconstruction.kernels import fit_pixels, photon_sums
-from hueflight.reconstruction.pileup import (
-    lost_photons_factor,
-    photons_per_period,
-    unshadowed,
-)
+from hueflight.reconstruction.pileup import photons_per_period, unshadowed
 from hueflight.reconstruction.plan import Plan, View, make_plan
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.reflectance import reflectance_scale
 from hueflight.reconstruction.resolution import is_resolved, resolved
 from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
-TINY = 1e-30  #: exposures; fewer are none
 
 _plans: WeakKeyDictionary[Calibration, dict[tuple[float, float], Plan]] = WeakKeyDictionary()
 
@@ -220,7 +216,7 @@ def in_metres(
     other = calibration.distance + plane(found.other_ns) * along_axis
 
     quality = _quality(calibration, found, chosen, starved)
-    scale = _reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
+    scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
     if range_correction:
@@ -261,23 +257,3 @@ def _quality(
     two[chosen] = np.isfinite(found.other_ns)
     quality[two] |= int(Quality.AMBIGUOUS)
     return quality
-
-
-def _reflectance_scale(
-    photons: NDArray[np.float64],
-    frames: NDArray[np.float64] | None,
-    calibration: Calibration,
-    *,
-    pileup_correction: bool,
-) -> NDArray[np.float64]:
-    """Factor (row, col) from fitted photons to photons per frame of an average pixel."""
-    if frames is None or calibration.frames is None:
-        return 1 / calibration.flat_field
-    # so few exposures (weighted counts may come near 0) tell nothing
-    exposures = np.where(frames > TINY, frames, np.nan)
-    scale = 1 / (calibration.flat_field * exposures)
-    if pileup_correction:
-        return scale * lost_photons_factor(photons, frames)
-    # the calibration is in photons that arrived: take the loss back
-    reference = calibration.reference.sum(axis=-1, dtype=np.float64)
-    return scale * lost_photons_factor(reference, calibration.frames)

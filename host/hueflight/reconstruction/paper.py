@@ -20,8 +20,8 @@ from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.correlation import correlate, peak_centroid
 from hueflight.reconstruction.image import Estimates
 from hueflight.reconstruction.paper_compiled import Measured, Search, measure
-from hueflight.reconstruction.pileup import lost_photons_factor
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.reflectance import reflectance_scale
 
 TILE_PIXELS = 512  #: pixels correlated at once: their spectra stay in the cache
 
@@ -81,7 +81,7 @@ def estimate(
     for plane in (depth, depth_std, *sums):
         plane[starved] = np.nan
 
-    scale = _reflectance_scale(known, frames, calibration, pileup_correction=pileup_correction)
+    scale = reflectance_scale(known, frames, calibration, pileup_correction=pileup_correction)
     if range_correction:
         scale = scale * np.square(_range_ratio(depth, calibration))
     gain = calibration.gain[:, None, None] * scale
@@ -219,25 +219,6 @@ def _rolled(light: NDArray[np.floating], shift: NDArray[np.intp]) -> NDArray[np.
     count = light.shape[-1]
     index = (np.arange(count) - shift[:, None]) % count
     return np.take_along_axis(np.asarray(light, np.float32), index, axis=-1)
-
-
-def _reflectance_scale(
-    photons: NDArray[np.float64],
-    frames: NDArray[np.float64] | None,
-    calibration: Calibration,
-    *,
-    pileup_correction: bool,
-) -> NDArray[np.float64]:
-    """Factor (row, col) from window sums to reflectance, but for each band's gain."""
-    flat_field = calibration.flat_field
-    if frames is None or calibration.frames is None:
-        return 1 / flat_field
-    photons_of = photons
-    frames_of = frames
-    if not pileup_correction:  # the calibration is in photons that arrived: take the loss back
-        photons_of = calibration.reference.sum(axis=-1, dtype=np.float64)
-        frames_of = calibration.frames
-    return lost_photons_factor(photons_of, frames_of) / (flat_field * frames)
 
 
 def _range_ratio(depth: NDArray[np.float64], calibration: Calibration) -> NDArray[np.float64]:

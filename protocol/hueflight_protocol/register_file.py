@@ -64,8 +64,8 @@ class RegisterFile:
 
     def get(self, name: str, /, *indices: int) -> int:
         """Return the whole value of a register."""
-        register = self.registers[name]
-        register.address_of(*indices)
+        if (name, indices) not in self._values:
+            self.registers[name].address_of(*indices)  # says what is wrong
         return self._values[name, indices]
 
     def set(self, name: str, /, *indices: int, **fields: int) -> None:

@@ -33,6 +33,7 @@ from hueflight.instrument import Instrument
 RECONNECT_S = 0.5
 IDLE_S = 0.05
 READ_S = 0.05
+PUBLISH_S = 0.02
 SETTLE_S = 0.3  #: after the end of a run, longest silence before its stream counts as read
 SILENCE_S = 2.0  #: without a byte in a run, ask the camera whether it is still there
 KEEP_ALIVE_S = 0.3
@@ -87,6 +88,8 @@ class Acquisition:
         self._last_data_s: float | None = None
         self._kept_alive_s = 0.0
         self._connections = 0
+        self._published: tuple[Rig | None, Run | None, Recorder | None] = (None, None, None)
+        self._published_s = 0.0
         self._returned: queue.SimpleQueue[Block] = queue.SimpleQueue()
         self._label = int(time.time()) & 0xFFFFFFFF
         self.snapshot = Snapshot(problem="looking for the camera")
@@ -134,7 +137,7 @@ class Acquisition:
                 self._lost(error)
             except HueflightError as error:
                 self._fail_run(str(error))
-            self._publish()
+            self._refresh()
         try:
             if self._run is not None:
                 self._finish("the program ended")
@@ -419,6 +422,15 @@ class Acquisition:
             _, future = self._plans.get()
             if future.set_running_or_notify_cancel():
                 future.set_exception(CaptureError("the program ended before the run began"))
+
+    def _refresh(self) -> None:
+        """Publish when something begins or ends, and now and then meanwhile: pieces are many."""
+        about = (self._rig, self._run, self._recorder)
+        same = all(new is old for new, old in zip(about, self._published, strict=True))
+        now = time.monotonic()
+        if not same or now - self._published_s > PUBLISH_S:
+            self._published, self._published_s = about, now
+            self._publish()
 
     def _publish(self, *, state: str | None = None, problem: str | None = None) -> None:
         rig, run, recorder = self._rig, self._run, self._recorder

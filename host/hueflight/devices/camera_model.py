@@ -173,16 +173,17 @@ class CameraModel:
         with self._lock:
             if not self._running:
                 return
-            due = int((self._now_s() - self._started_s) / self.frame_s)
+            frame_s = self.frame_s
+            due = int((self._now_s() - self._started_s) / frame_s)
             limit = self.registers.get("frame_limit")
             if limit:
                 due = min(due, limit)
             while self._frame < due:
-                self._expose()
+                self._expose(frame_s)
             if limit and self._frame >= limit:
                 self._stop()
 
-    def _expose(self) -> None:
+    def _expose(self, frame_s: float) -> None:
         template = self.bank.template(self._frame)
         if self._waiting_bytes + len(template) > self._buffer_bytes:
             self._dropped += 1
@@ -190,7 +191,7 @@ class CameraModel:
         else:
             packet = template.stamp(
                 sequence=self._sequence,
-                timestamp=int(self._frame * self.frame_s * CLOCK_HZ),
+                timestamp=int(self._frame * frame_s * CLOCK_HZ),
                 frame=self._frame,
                 dropped=min(self._dropped, _SATURATED),
                 capture=self._capture,

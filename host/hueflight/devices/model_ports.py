@@ -59,6 +59,9 @@ class ModelStream:
             if time.monotonic() >= deadline:
                 break
             time.sleep(_POLL_S)
+        if 0 < len(data) < self._transfer_bytes:  # let the transfer fill, as one on a bus does
+            time.sleep(_POLL_S)
+            data += self._model.pull(self._transfer_bytes - len(data))
         self._received += len(data)
         return data
 

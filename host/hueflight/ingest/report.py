@@ -79,6 +79,14 @@ class IngestReport:
         cls, state: NDArray[np.int64], *, photons: int = 0, clipped: int = 0
     ) -> IngestReport:
         """Totals of a scanner's state and what was counted."""
-        seen = dict(zip(STATE, state.tolist(), strict=True))
-        names = {field.name for field in fields(cls)} - {"photons", "clipped"}
-        return cls(photons=photons, clipped=clipped, **{name: seen[name] for name in names})
+        seen = state.tolist()
+        return cls(
+            photons=photons, clipped=clipped, **{name: seen[at] for name, at in _PLACES.items()}
+        )
+
+
+_PLACES = {  #: of the totals in a scanner's state
+    field.name: STATE.index(field.name)
+    for field in fields(IngestReport)
+    if field.name not in ("photons", "clipped")
+}

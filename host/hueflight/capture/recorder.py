@@ -18,6 +18,9 @@ from hueflight.instrument import Instrument
 from hueflight.recording import RecordingWriter
 
 QUEUE_BYTES = 128 << 20
+BATCH_BYTES = (
+    4 << 20
+)  #: written in one go at most: each call waits for the interpreter's lock again
 MIN_FREE_BYTES = 256 << 20  #: recording stops before it takes the system's last bytes
 RETRY_S = 5.0  #: after a failure, how often to look whether there is room again
 FLUSH_S = 0.5
@@ -124,12 +127,14 @@ class Recorder:
             with self._changed:
                 if not self._queue and not self._closing:
                     self._changed.wait(FLUSH_S)
-                piece = self._queue.popleft() if self._queue else None
-                if piece is not None:
-                    self._queued -= len(piece)
-                elif self._closing:
+                if not self._queue and self._closing:
                     break
-            self._put(piece)
+                batch, size = [], 0
+                while self._queue and (not batch or size + len(self._queue[0]) <= BATCH_BYTES):
+                    batch.append(self._queue.popleft())
+                    size += len(batch[-1])
+                self._queued -= size
+            self._put(b"".join(batch) if batch else None)
         try:
             self._writer.close()
         except RecordingError as error:

@@ -78,7 +78,7 @@ def test_a_session_at_the_instrument(
         assert page.get_attribute(f"[data-view={view}]", "aria-selected") == "true"
     page.keyboard.press("2")
     until(lambda: page.evaluate(COLOURS_ON_THE_PLANE) > 50, "all bands together give colours")
-    assert page.is_visible("#three")
+    page.wait_for_selector("#three", state="visible")
     page.check("#three")
     until(lambda: page.evaluate(COLOURS_ON_THE_PLANE) > 50, "three bands give colours")
     page.uncheck("#three")

@@ -72,7 +72,7 @@ def phasor(histogram: NDArray[np.uint32], calibration: hf.Calibration) -> Estima
 CONTENDERS: dict[str, Estimator] = {
     "joint": joint,
     "joint, no skips": joint_with(NO_SKIPS),
-    "joint, no rough bins": joint_with(Skips(switches=Switches(rough=False))),
+    "joint, rough bins first": joint_with(Skips(switches=Switches(rough=True))),
     "joint, no posterior": joint_with(Skips(switches=Switches(posterior=False))),
     "joint, until 3 cm": joint_with(Skips(depth_target=0.03)),
     "paper": paper,

@@ -19,7 +19,7 @@ INLINE void settle(const Plan *plan, const Scratch *scratch, const float *totals
 {
     const Rules *rules = &plan->rules;
     Track *active[TRACKS];
-    float moved[LANES];
+    int moved[LANES];
     if (rules->rough)
         for (int i = 0; i < count; i += LANES)
             step(plan, &plan->rough, scratch->rough, scratch->rough_stride, totals, offsets,
@@ -38,7 +38,7 @@ INLINE void settle(const Plan *plan, const Scratch *scratch, const float *totals
                 Track *track = active[i + lane];
                 track->steps++;
                 int few = track->variance > rules->spread_ns * rules->spread_ns / rules->few;
-                if (!rules->settle || moved[lane] > rules->settled * sqrtf(track->variance)
+                if (!rules->settle || moved[lane]
                     || (few && track->steps < rules->few_steps))
                     active[kept++] = track;
             }

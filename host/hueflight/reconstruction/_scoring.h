@@ -185,13 +185,16 @@ INLINE void solve(Equations *e, int size, float ridge)
             e->normal[AT(i, j)] *= scale[j];
 }
 
-/* One step of scoring for as many tracks as there are lanes, or fewer. `moved` gets each one's change of delay. */
+/* One step of scoring for as many tracks as there are lanes, or fewer. `moved` tells of each one
+ * whether its delay or an amplitude moved by more than what a settled one may. */
 INLINE void step(const Plan *plan, const Level *level, const float *counts, size_t stride,
                  const float *totals, const float *offsets, Track *const *tracks, int count,
-                 vec *work, Equations *e, float *moved)
+                 vec *work, Equations *e, int *moved)
 {
     const Rules *rules = &plan->rules;
     int bands = plan->bands, size = bands + 2, t = bands + 1;
+    float near = rules->settled * rules->settled;
+    float alike = rules->settled_amplitude * rules->settled_amplitude;
     float range = rules->high_ns - rules->low_ns, widest = 12 / (range * range);
     float here[LANES];
     for (int lane = 0; lane < LANES; lane++) { /* lanes to spare repeat the first track */
@@ -227,15 +230,18 @@ INLINE void step(const Plan *plan, const Level *level, const float *counts, size
         float low = offset + rules->low_ns, high = offset + rules->high_ns;
         float delay = here[lane] + move;
         delay = delay < low ? low : delay > high ? high : delay;
-        moved[lane] = fabsf(delay - track->delay);
-        track->delay = delay;
         track->background = e->right[bands][lane];
         track->cubic = e->cubic[lane];
         float tip = e->normal[AT(t, t)][lane];
         track->variance = tip * tip;
+        float change = delay - track->delay;
+        moved[lane] = change * change > near * tip * tip;
+        track->delay = delay;
         for (int k = 0; k <= bands; k++) /* change of a parameter that follows the delay's */
             track->follow[k] = e->normal[AT(t, k)][lane] / tip;
         for (int k = 0; k < bands; k++) {
+            change = e->right[k][lane] - track->amplitudes[k];
+            moved[lane] |= change * change > alike * spread[k][lane];
             track->amplitudes[k] = e->right[k][lane];
             track->spread[k] = spread[k][lane];
         }

@@ -74,7 +74,8 @@ INLINE void two_best(const Coarse *coarse, const float *scores, int *best, int *
     }
 }
 
-/* First guess of a track: a parabola through three lags, amplitudes from the bands' zones. */
+/* First guess of a track: a parabola through three lags, amplitudes from the bands' zones,
+ * background from the bins in none of them. */
 INLINE void start(const Plan *plan, const float *counts, float total, const float *scores,
                   const int8_t *tried, int lag, Track *track)
 {
@@ -89,10 +90,9 @@ INLINE void start(const Plan *plan, const float *counts, float total, const floa
         }
     }
     track->delay = coarse->first_ns + ((float)lag + shift) * coarse->step_ns;
-    track->background = plan->rules.shares[tried[lag]] * total;
     track->steps = 0;
     track->live = 1;
-    float inside[MOST_BANDS] = {0};
+    float inside[MOST_BANDS] = {0}, dark = total, dark_width = 1;
     for (int run = coarse->places[lag]; run < coarse->places[lag + 1]; run++) {
         const int16_t *bins = coarse->runs + (size_t)run * 3;
         float here = 0;
@@ -102,6 +102,13 @@ INLINE void start(const Plan *plan, const float *counts, float total, const floa
     }
     const float *widths = coarse->widths + (size_t)lag * (size_t)plan->bands;
     const float *shares = coarse->shares + (size_t)lag * (size_t)plan->bands;
+    for (int k = 0; k < plan->bands; k++) {
+        dark -= inside[k];
+        dark_width -= widths[k];
+    }
+    track->background = dark_width > plan->rules.dark_width
+                            ? dark / dark_width
+                            : plan->rules.shares[tried[lag]] * total;
     for (int k = 0; k < plan->bands; k++) {
         float share = shares[k] > 1e-3f ? shares[k] : 1e-3f;
         float a = (inside[k] - track->background * widths[k]) / share;

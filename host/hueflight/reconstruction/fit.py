@@ -4,10 +4,10 @@ Maximum likelihood for Poisson counts, in four steps:
 
 1. *Search*: the likelihood over whole lags, each band free to be dark or bright.
 2. *Scoring*: Fisher's method of scoring (weighted least squares with the model's own variances,
-   Osborne, Int. Stat. Rev. 60, 1992), first at the bins of the search, then at the full
-   width, until the delay moves no more than a fraction of its standard deviation. Few photons
-   take a second step, and the weights assume some background: else photons at the pulses' feet
-   pass for background, up to a tenth of one of each band.
+   Osborne, Int. Stat. Rev. 60, 1992), until the delay moves no more than a fraction of its
+   standard deviation. It starts from the photons in each band's bins and those in nobody's. Few
+   photons take a second step, and the weights assume some background: else photons at the pulses'
+   feet pass for background, up to a tenth of one of each band.
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
 4. *Posterior*: where photons are few the likelihood is not a parabola; the delay and its
    deviation are then the mean and deviation of the likelihood on a few delays around its
@@ -28,9 +28,11 @@ from numpy.typing import NDArray
 from hueflight.reconstruction.plan import BACKGROUND_SHARES, Coarse, Level, Plan
 
 MOST_STEPS = 6  #: of scoring at the full bin width
-SETTLED = 0.5  #: a delay that moves by less than this share of its deviation has settled
+SETTLED = 0.3  #: a delay that moves by less than this share of its deviation has settled
+SETTLED_AMPLITUDE = 3.0  #: the same for amplitudes: where bands overlap, theirs need steps
 FLOOR_PHOTONS = 2.0  #: in the weights background is taken for no less than this
 FLOOR_SHARE = 0.003  #: and this share of all counts together
+DARK_WIDTH = 0.1  #: share of the bins that must be in no band's zone to tell the background
 RIDGE = 1e-6  #: on the unit diagonal of the normal equations
 MARGIN = 6.0  #: log-likelihood by which a second delay may be worse and is still looked at
 RASTER = 0.07  #: and by this much per photon: a delay between two lags of the search loses that
@@ -48,16 +50,21 @@ class Switches:
 
     Attributes
     ----------
-    rough : scoring begins at the bins of the search.
+    rough : scoring begins at the bins of the search; with a `target_ns` it always does.
     settle : scoring ends when a delay has settled (else all steps are taken).
     posterior : few photons get the posterior stage (else the correction only).
     target_ns : scoring ends after the rough bins where the deviation is below this already.
     """
 
-    rough: bool = True
+    rough: bool = False
     settle: bool = True
     posterior: bool = True
     target_ns: float = 0.0
+
+    @property
+    def starts_rough(self) -> bool:
+        """Whether there is a step at the bins of the search."""
+        return self.rough or self.target_ns > 0
 
 
 DEFAULT = Switches()
@@ -238,7 +245,10 @@ def _start(
     share: NDArray[np.float64],
     coarse: Coarse,
 ) -> _State:
-    """Delay from a parabola through three lags, amplitudes from the bands' zones."""
+    """Delay from a parabola through three lags, amplitudes from the bands' zones.
+
+    The background is that of the bins in none of them, else the search's.
+    """
     rows = np.arange(len(counts))
     last = score.shape[-1] - 1
     left, here, right = (score[rows, np.clip(lag + step, 0, last)] for step in (-1, 0, 1))
@@ -248,7 +258,6 @@ def _start(
     inner = (lag > 0) & (lag < last) & np.isfinite(shift) & (bend < 0)
     shift = np.where(inner, np.clip(shift, -0.5, 0.5), 0.0)
     step_ns = coarse.lags_ns[1] - coarse.lags_ns[0] if last > 0 else 0.0
-    background = share[rows, lag] * total
     grouped = coarse.summed(counts)
     zones = coarse.zones.transpose(2, 0, 1)  # lag, band, bin
     inside = np.empty((len(counts), zones.shape[1]))
@@ -256,6 +265,9 @@ def _start(
         chosen = lag == value
         inside[chosen] = grouped[chosen] @ zones[value].T
     widths, shares = coarse.zone_widths.T[lag], coarse.zone_shares.T[lag]
+    dark_width = 1 - widths.sum(axis=-1)
+    dark = (total - inside.sum(axis=-1)) / np.maximum(dark_width, DARK_WIDTH)
+    background = np.where(dark_width > DARK_WIDTH, dark, share[rows, lag] * total)
     amplitudes = (inside - background[:, None] * widths) / np.maximum(shares, 1e-3)
     size = zones.shape[1] + 2
     return _State(
@@ -286,7 +298,7 @@ def _scored(
     widest = 1 / (high - low) ** 2 * 12  # of a delay that may be anywhere
     steps = np.zeros(len(counts), np.uint8)
     active = np.arange(len(counts))
-    if switches.rough and plan.rough is not plan.fine:
+    if switches.starts_rough and plan.rough is not plan.fine:
         grouped = plan.rough.summed(counts)
         state = _step(grouped, total, state, plan.rough, low, high, widest, plan.spread_ns)
         deviation = np.sqrt(state.covariance[:, -1, -1])
@@ -300,10 +312,13 @@ def _scored(
         state.put(active, after)
         steps[active] += 1
         if switches.settle:
-            moved = np.abs(after.delay - before.delay)
-            variance = after.covariance[:, -1, -1]
+            deviations = np.sqrt(np.einsum("paa->pa", after.covariance))
+            moved = np.abs(after.delay - before.delay) / (SETTLED * deviations[:, -1])
+            changes = np.abs(after.amplitudes - before.amplitudes)
+            changes /= SETTLED_AMPLITUDE * deviations[:, : plan.bands]
+            variance = deviations[:, -1] ** 2
             few = (variance > plan.spread_ns**2 / FEW_PHOTONS) & (steps[active] < FEW_STEPS)
-            active = active[(moved > SETTLED * np.sqrt(variance)) | few]
+            active = active[(moved > 1) | (changes > 1).any(axis=-1) | few]
     return state, steps
 
 

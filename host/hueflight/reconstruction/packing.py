@@ -100,7 +100,7 @@ def rules(
         *(rough.widths.size, packed.rough.blocks, len(rough.shares)),
         *(plan.coarse_factor, coarse.widths.size, coarse.lags_ns.size, coarse.separation),
         *(fit.MOST_STEPS, fit.NODES, fit.LIKELIHOOD_ROUNDS),
-        *(switches.rough and rough is not fine, switches.settle, switches.posterior),
+        *(switches.starts_rough and rough is not fine, switches.settle, switches.posterior),
         fit.FEW_STEPS,
     ]
     lag_ns = coarse.lags_ns[1] - coarse.lags_ns[0] if coarse.lags_ns.size > 1 else 1.0
@@ -111,7 +111,8 @@ def rules(
         *np.log(BACKGROUND_SHARES),
         *(fit.SETTLED, fit.FLOOR_PHOTONS, fit.FLOOR_SHARE, fit.RIDGE),
         *(fit.MARGIN, fit.AMBIGUOUS, fit.FEW_PHOTONS, fit.NODE_SPACING),
-        *(plan.spread_ns, *plan.search_ns, switches.target_ns, fit.RASTER),
+        *(plan.spread_ns, *plan.search_ns, switches.target_ns, fit.RASTER, fit.DARK_WIDTH),
+        fit.SETTLED_AMPLITUDE,
     ]
     return np.array(integers, np.int32), np.array(reals, np.float32)
 

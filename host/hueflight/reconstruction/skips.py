@@ -55,7 +55,7 @@ class Skips:
 NO_SKIPS = Skips(
     empty=False,
     defects=False,
-    switches=Switches(rough=False, settle=False),
+    switches=Switches(settle=False),
 )
 DEFAULT_SKIPS = Skips()
 

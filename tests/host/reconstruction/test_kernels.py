@@ -110,7 +110,7 @@ def test_threads_and_order_of_pixels_change_nothing(plans, draw):
 @pytest.mark.parametrize(
     "switches",
     [
-        Switches(rough=False),
+        Switches(rough=True),
         Switches(settle=False),
         Switches(posterior=False),
         Switches(target_ns=10.0),

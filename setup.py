@@ -40,6 +40,8 @@ setup(
                         "counts",
                         "fit",
                         "changes",
+                        "abreast",
+                        "correlation",
                         "paper",
                     )
                 ],

@@ -16,6 +16,8 @@
 #include "_counts.h"
 #include "_fit.h"
 #include "_changes.h"
+#include "_abreast.h"
+#include "_correlation.h"
 #include "_paper.h"
 
 #ifndef MODULE
@@ -328,7 +330,7 @@ static PyObject *py_sums(PyObject *self, PyObject *args)
     return end(&call, begin(&call, args, SUM_BUFFERS, LIGHT, ALL_COUNTS) && run_sums(&call));
 }
 
-enum { NUMBERS = 2, HALF_WIDTH, WINDOWS, GAPS, REFERENCE, INFLUENCE, PIXEL_DELAYS, LAG, LAG_STD,
+enum { NUMBERS = 2, HALF_WIDTH, WINDOWS, GAPS, REFERENCE, PIXEL_DELAYS, LAG, LAG_STD,
        WINDOW_SUMS, FLOOR, PAPER_BUFFERS };
 
 /* What all pixels of a call share; false if its buffers do not fit one another. */
@@ -342,12 +344,16 @@ static int make_paper(const Call *call, Paper *paper)
         .half_width = *(const double *)held[HALF_WIDTH].buf,
         .windows = (int)(held[WINDOWS].len / 12), .window = held[WINDOWS].buf,
         .gaps = (int)(held[GAPS].len / 8), .gap = held[GAPS].buf,
+        .references = {(const char *)held[REFERENCE].buf + 2 * n[2], call->light.pixels,
+                       2 * (held[LIGHT].shape[1] + 2 * n[2]), 2, 'H'},
+        .pixel_delays = held[PIXEL_DELAYS].buf,
     };
-    size_t kept = (size_t)paper->bins * (size_t)call->light.pixels;
-    int fits = paper->search >= 0 && paper->reach >= 0 && paper->reach <= paper->search
-            && paper->most >= paper->search + paper->reach && paper->most <= 2 * paper->bins
-            && paper->reach <= paper->bins && paper->half_width <= paper->most && paper->bands > 0
-            && (size_t)held[REFERENCE].len >= 2 * kept && (size_t)held[INFLUENCE].len >= 4 * kept
+    int fits = call->light.type != 'f' && paper->search >= 0 && paper->reach >= 0
+            && paper->reach <= paper->search && paper->most >= paper->search + paper->reach
+            && paper->most <= 2 * paper->bins && paper->reach <= paper->bins
+            && paper->half_width <= paper->most && paper->bands > 0
+            && (size_t)held[REFERENCE].len / 2
+                   >= (size_t)(paper->bins + 2 * paper->most) * (size_t)call->light.pixels
             && (size_t)held[PIXEL_DELAYS].len >= 8 * (size_t)call->light.pixels
             && holds(call, LAG, 8) && holds(call, LAG_STD, 8) && holds(call, FLOOR, 8)
             && holds(call, WINDOW_SUMS, 8 * (size_t)paper->bands);
@@ -366,39 +372,22 @@ static int run_correlations(Call *call)
     Paper paper;
     if (!make_paper(call, &paper))
         return refuse("correlations: buffers do not fit one another");
-    call->block = calloc(sheet_bytes(&paper), 1);
+    Group group;
+    call->block = calloc(lay_out(&paper, NULL, &group) + 64, 1);
     if (!allocated(call))
         return 0;
-    Sheet sheet;
-    lay_out(&paper, (char *)(((uintptr_t)call->block + 63) / 64 * 64), &sheet);
-    size_t bins = (size_t)paper.bins, bands = (size_t)paper.bands;
-    const uint16_t *reference = held[REFERENCE].buf;
-    const float *influence = held[INFLUENCE].buf;
-    const double *pixel_delays = held[PIXEL_DELAYS].buf;
-    double *delay = held[LAG].buf, *deviation = held[LAG_STD].buf, *sums = held[WINDOW_SUMS].buf;
-    double *background = held[FLOOR].buf;
+    lay_out(&paper, (char *)(((uintptr_t)call->block + 63) / 64 * 64), &group);
+    PaperResults results = {held[LAG].buf, held[LAG_STD].buf, held[WINDOW_SUMS].buf,
+                            held[FLOOR].buf};
     Py_BEGIN_ALLOW_THREADS
-    for (size_t i = 0; i < call->pixels; i++) {
-        size_t pixel = (size_t)call->which[i];
-        if (i + 2 < call->pixels) {
-            size_t later = (size_t)call->which[i + 2] * bins;
-            fetch(&call->light, (size_t)call->which[i + 2], paper.bins);
-            for (size_t at = 0; at < bins; at += 32)
-                __builtin_prefetch(reference + later + at);
-            for (size_t at = 0; at < bins; at += 16)
-                __builtin_prefetch(influence + later + at);
-        }
-        read_counts(&call->light, pixel, paper.bins, sheet.light + paper.reach);
-        correlate_pixel(&paper, &sheet, reference + pixel * bins, influence + pixel * bins,
-                        pixel_delays[pixel], delay + i, deviation + i, sums + i * bands,
-                        background + i);
-    }
+    for (size_t i = 0; i < call->pixels; i += LANES)
+        correlate_group(&paper, &group, &call->light, call->which, i, call->pixels, &results);
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* correlations(light, which, integers, half_width, windows, gaps, reference, influence,
- * pixel_delays, delay, deviation, sums, background): see paper_compiled.py. */
+/* correlations(light, which, integers, half_width, windows, gaps, reference, pixel_delays, delay,
+ * deviation, sums, background): see paper_compiled.py. */
 static PyObject *py_correlations(PyObject *self, PyObject *args)
 {
     (void)self;

@@ -1,144 +1,49 @@
-/* The paper's method on one pixel: correlation with its reference, centroid, window sums. paper.py
- * is its definition. Counts are whole numbers, so that sums of them are exact. */
+/* The paper's method on LANES pixels side by side: highest correlation, centroid, its deviation,
+ * window sums. paper.py is its definition. */
 
-/* What all pixels share. Lags are counted from −most to most. */
+/* One place for each pixel. */
 typedef struct {
-    int bins, search, reach, most, circular, windows, bands, gaps, outside;
-    double half_width;
-    const int32_t *window, *gap; /* (band, start, stop) each; (start, stop) of bins in no window */
-} Paper;
+    double *delay, *deviation, *sums, *background;
+} PaperResults;
 
-/* `light` begins `reach` bins early and ends as much late, around the circle; `reference` has
- * `most` zeros about it; `correlation` runs from the last lag to the first, as the reference does
- * when lags rise. */
-typedef struct {
-    float *light, *reference, *correlation, *counts, *steep;
-    int32_t *bins, *running, *twice;
-} Sheet;
-
-#define ABREAST 3 /* vectors of lags that stay in registers */
-
-/* Correlation at the lags of places from `place` on, `vectors` of them. */
-INLINE void correlate_some(const Sheet *sheet, int some, int place, int vectors)
+/* Lowest correlation of the range searched, and where the highest is: the first if several are. */
+INLINE vec search_peak(const Paper *paper, const Group *group, double *delay)
 {
-    vec even[ABREAST] = {0}, odd[ABREAST] = {0};
-    const float *reference = sheet->reference + place;
-    int k = 0;
-    for (; k + 2 <= some; k += 2) {
-        const float *here = reference + sheet->bins[k], *next = reference + sheet->bins[k + 1];
-        vec a = fill(sheet->counts[k]), b = fill(sheet->counts[k + 1]);
-        for (int v = 0; v < vectors; v++) {
-            even[v] += a * load(here + v * LANES);
-            odd[v] += b * load(next + v * LANES);
-        }
+    vec least = group->correlation[-paper->search], top = least;
+    ivec best = (ivec){0} - paper->search;
+    for (int lag = 1 - paper->search; lag <= paper->search; lag++) {
+        vec c = group->correlation[lag];
+        ivec above = c > top;
+        best = (above & lag) | (~above & best);
+        top = choose(above, c, top);
+        least = choose(c < least, c, least);
     }
-    if (k < some)
-        for (int v = 0; v < vectors; v++)
-            even[v] += fill(sheet->counts[k]) * load(reference + sheet->bins[k] + v * LANES);
-    for (int v = 0; v < vectors; v++)
-        store(sheet->correlation + place + v * LANES, even[v] + odd[v]);
-}
-
-/* Correlation at the lags of places [from, to) of the sheet, whole vectors of them. */
-INLINE void correlate(const Sheet *sheet, int some, int from, int to)
-{
-    int place = from;
-    for (; to - place > 2 * LANES; place += ABREAST * LANES)
-        correlate_some(sheet, some, place, ABREAST);
-    for (; place < to; place += LANES)
-        correlate_some(sheet, some, place, 1);
-}
-
-/* Sums of a vector up to each lane, the lane itself included. */
-INLINE ivec up_to_lane(ivec x)
-{
-#if defined(__AVX512F__) && LANES == 16
-    __m512i y = (__m512i)x, nothing = _mm512_setzero_si512();
-    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 15));
-    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 14));
-    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 12));
-    y = _mm512_add_epi32(y, _mm512_alignr_epi32(y, nothing, 8));
-    return (ivec)y;
-#endif
-    ivec lanes = lane_numbers();
-    for (int by = 1; by < LANES; by *= 2)
-        x += (lanes >= by) & (ivec)picked((vec)x, (lanes - by) & (LANES - 1));
-    return x;
-}
-
-/* Sums up to each place, the place itself included, and sums of those, modulo 2³². */
-INLINE void sum_up(const float *from, int count, int32_t *once, int32_t *twice)
-{
-    ivec last = (ivec){0} + (LANES - 1), before = {0}, before_twice = {0};
-    for (int i = 0; i < count; i += LANES) {
-        ivec x = up_to_lane(__builtin_convertvector(load(from + i), ivec));
-        ivec y = up_to_lane(x + before) + before_twice;
-        store((float *)once + i, (vec)(x + before));
-        store((float *)twice + i, (vec)y);
-        before += (ivec)picked((vec)x, last);
-        before_twice = (ivec)picked((vec)y, last);
-    }
-}
-
-/* Σ a·b² of `count` numbers, by lanes. */
-INLINE vec weighed(const float *a, const float *b, int count)
-{
-    vec even = {0}, odd = {0};
-    int i = 0;
-    for (; i + 2 * LANES <= count; i += 2 * LANES) {
-        vec x = load(b + i), y = load(b + i + LANES);
-        even += load(a + i) * x * x;
-        odd += load(a + i + LANES) * y * y;
-    }
-    for (; i < count; i += LANES) {
-        ivec inside = lane_numbers() < count - i;
-        vec x = choose(inside, load(b + i), (vec){0});
-        even += choose(inside, load(a + i), (vec){0}) * x * x;
-    }
-    return even + odd;
+    for (int lane = 0; lane < LANES; lane++)
+        delay[lane] = best[lane];
+    return least;
 }
 
 #define HALF (LANES / 2)
 typedef double wide __attribute__((vector_size(8 * HALF)));
-typedef int64_t wide_mask __attribute__((vector_size(8 * HALF)));
 typedef float half __attribute__((vector_size(4 * HALF), aligned(4)));
 
-/* Clipped to 0 … 1. */
-INLINE wide share(wide x)
+/* Integrals of the weight above the pedestal and of its first moment, up to the upper edge of every
+ * lag that is known. */
+INLINE void integrate(const Group *group, vec pedestal)
 {
-    wide_mask above = x > 0.0, below = x < 1.0;
-    wide one = x * 0.0 + 1.0;
-    return (wide)(above & ((below & (wide_mask)x) | (~below & (wide_mask)one)));
-}
-
-INLINE double total(wide x)
-{
-    double whole = 0;
-    for (int lane = 0; lane < HALF; lane++)
-        whole += x[lane];
-    return whole;
-}
-
-/* Integral of the weight above the pedestal between two edges of lags, and of its first moment.
- * Edges count from the first lag. */
-INLINE void integrate(const Paper *paper, const Sheet *sheet, float pedestal, double from, double to,
-                      double *mass, double *moment)
-{
-    int last = 2 * paper->most, place = last + 1 - (int)ceil(to);
-    wide inside = {0}, first = {0};
-    wide lag;
-    for (int lane = 0; lane < HALF; lane++)
-        lag[lane] = last - place - lane;
-    for (; place <= last - (int)from; place += HALF, lag -= HALF) {
-        wide above = __builtin_convertvector(*(const half *)(sheet->correlation + place), wide);
-        above -= (double)pedestal;
-        wide weight = (wide)((above > 0.0) & (wide_mask)above);
-        weight *= share(to - lag) - share(from - lag);
-        inside += weight;
-        first += weight * (lag - (double)paper->most);
+    wide mass[2] = {0}, moment[2] = {0};
+    for (int lag = group->low - 1; lag < group->high; lag++) {
+        float weight[LANES];
+        vec above = group->correlation[lag] - pedestal;
+        store(weight, choose((above > 0.0f) & (lag >= group->low ? -1 : 0), above, (vec){0}));
+        for (int i = 0; i < 2; i++) {
+            wide w = __builtin_convertvector(*(const half *)(weight + i * HALF), wide);
+            mass[i] += w;
+            moment[i] += w * (double)lag;
+            ((wide *)(group->mass + lag * LANES))[i] = mass[i];
+            ((wide *)(group->moment + lag * LANES))[i] = moment[i];
+        }
     }
-    *mass = total(inside);
-    *moment = total(first);
 }
 
 INLINE double clipped(double x, double low, double high)
@@ -146,110 +51,147 @@ INLINE double clipped(double x, double low, double high)
     return x < low ? low : x > high ? high : x;
 }
 
-/* Delay in bins; `low` and `high`, the lags known as yet, grow where more are wanted. */
-INLINE double centroid(const Paper *paper, const Sheet *sheet, int some, float *pedestal,
-                       int *low, int *high)
+/* A pixel's integral between two places; `first` and `last` are the lags that hold them. */
+INLINE double between(const double *table, double from, int first, double to, int last)
 {
-    int most = paper->most, first = most - paper->search, last = most + paper->search;
-    vec smallest = fill(INFINITY), greatest = fill(-INFINITY);
-    for (int j = first; j <= last; j += LANES) {
-        ivec inside = lane_numbers() <= last - j;
-        vec c = load(sheet->correlation + j);
-        greatest = greater(greatest, choose(inside, c, fill(-INFINITY)));
-        smallest = -greater(-smallest, choose(inside, -c, fill(-INFINITY)));
-    }
-    for (int distance = LANES / 2; distance; distance /= 2) {
-        greatest = greater(greatest, swap(greatest, distance));
-        smallest = -greater(-smallest, -swap(smallest, distance));
-    }
-    float least = smallest[0], top = greatest[0];
-    int best = last; /* lags rise as places fall */
-    while (sheet->correlation[best] < top)
-        best--;
-    *pedestal = least;
-    double delay = most - best, edge = most + 0.5;
+    double a = table[(first - 1) * LANES], b = table[(last - 1) * LANES];
+    return b - a + (table[last * LANES] - b) * (to + 0.5 - last)
+         - (table[first * LANES] - a) * (from + 0.5 - first);
+}
+
+/* Delays in bins: from the highest lag to the centroid of a window that follows it. */
+INLINE void follow(const Paper *paper, Group *group, vec pedestal, double *delay)
+{
+    double from[LANES], to[LANES], edge = paper->most + 0.5;
+    int first[LANES], last[LANES], some = paper->most + 1;
     for (int round = 0; round < 3; round++) {
-        double from = clipped(delay - paper->half_width, -edge, edge) + edge;
-        double to = clipped(delay + paper->half_width, -edge, edge) + edge;
-        if (from < *low || to > *high) {
-            correlate(sheet, some, 0, 2 * most + 1 - *high);
-            correlate(sheet, some, 2 * most + 1 - *low, 2 * most + 1);
-            *low = 0, *high = 2 * most + 1;
+        int low = some, high = -some;
+        for (int lane = 0; lane < LANES; lane++) {
+            from[lane] = clipped(delay[lane] - paper->half_width, -edge, edge);
+            to[lane] = clipped(delay[lane] + paper->half_width, -edge, edge);
+            first[lane] = (int)(from[lane] + 0.5 + some) - some;
+            last[lane] = (int)(to[lane] + 0.5 + some) - some;
+            low = first[lane] < low ? first[lane] : low;
+            high = last[lane] > high ? last[lane] : high;
         }
-        double inside, first;
-        integrate(paper, sheet, least, from, to, &inside, &first);
-        if (inside > 0)
-            delay = first / inside;
-        delay = clipped(delay, -paper->search, paper->search);
+        if (extend(paper, group, low, high + 1) || !round)
+            integrate(group, pedestal);
+        for (int lane = 0; lane < LANES; lane++) {
+            double a = from[lane], b = to[lane];
+            double inside = between(group->mass + lane, a, first[lane], b, last[lane]);
+            double moment = between(group->moment + lane, a, first[lane], b, last[lane]);
+            if (inside > 0)
+                delay[lane] = moment / inside;
+            delay[lane] = clipped(delay[lane], -paper->search, paper->search);
+        }
     }
-    return delay;
 }
 
-/* Standard deviation of the centroid; see `_centroid_deviation` of paper.py. */
-INLINE double deviation_of(const Paper *paper, const Sheet *sheet, const float *influence,
-                           int whole, float pedestal)
+/* Running sums of references that are moved by whole bins. */
+INLINE void shift_references(const Paper *paper, Group *group, const int32_t *whole)
 {
-    int bins = paper->bins, reach = paper->reach, at = (whole % bins + bins) % bins;
-    const float *light = sheet->light + reach, *reference = sheet->reference + paper->most;
-    /* Σ m·h(i + m) over ±reach, by parts */
-    for (int i = 0; i < bins; i += LANES) {
-        ivec ends = (ivec)load((float *)sheet->running + i)
-                  + (ivec)load((float *)sheet->running + i + 2 * reach + 1);
-        ivec slope = reach * ends - (ivec)load((float *)sheet->twice + i + 2 * reach + 1)
-                   + (ivec)load((float *)sheet->twice + i + 1);
-        store(sheet->steep + i, __builtin_convertvector(slope, vec));
+    int count = paper->bins + 2 * paper->reach;
+    const char *row[LANES];
+    for (int lane = 0; lane < LANES; lane++)
+        row[lane] = group->reference[lane] - 2 * (whole[lane] + paper->reach);
+    ivec pairs[LANES], before = {0}, *to = group->shifted - paper->reach;
+    for (int at = 0; at < count; at += 2 * LANES, to += 2 * LANES) {
+        pairs_abreast(&paper->references, row, at, count, pairs);
+        before = running_abreast(pairs, before, to);
     }
-    float scatter = sum(weighed(light + at, influence, bins - at)
-                        + weighed(light, influence + bins - at, at)
-                        + weighed(reference, sheet->steep + at, bins - at)
-                        + weighed(reference + bins - at, sheet->steep, at));
-    const float *middle = sheet->correlation + paper->most - whole;
-    double inside = 0, edge = 0.5 * ((double)middle[-reach] + (double)middle[reach]) - (double)pedestal;
-    double odd = 0; /* two sums, so that one addition need not wait for the other */
-    for (int lag = -reach; lag < reach; lag += 2) {
-        inside += (double)middle[lag];
-        odd += (double)middle[lag + 1];
-    }
-    inside += odd + (double)middle[reach];
-    double gain = inside - (2 * reach + 1) * (double)pedestal
-                - 2 * paper->half_width * (edge > 0 ? edge : 0);
-    return gain > 0 ? sqrt((double)scatter) / gain : INFINITY;
+    *to = before;
 }
 
-/* Counts before a bin that may lie on another turn. */
+/* Σ m·h(i + m) over ±reach of counts h whose running sums are these before bin i, and some of
+ * them. */
+typedef struct {
+    const ivec *running;
+    ivec slope, here, left, right;
+} Slope;
+
+INLINE Slope slope_at(const ivec *running, int reach)
+{
+    Slope slope = {running, {0}, running[0], running[-reach], running[reach + 1]};
+    for (int m = -reach; m <= reach; m++)
+        slope.slope += m * (running[m + 1] - running[m]);
+    return slope;
+}
+
+/* Goes on to the next bin, by what enters and leaves; returns the bin's counts. */
+INLINE vec advance(Slope *s, int reach)
+{
+    ivec next = s->running[1], left = s->running[1 - reach], right = s->running[reach + 2];
+    ivec counts = next - s->here;
+    s->slope += reach * (left - s->left + right - s->right) + left - s->right;
+    s->here = next, s->left = left, s->right = right;
+    s->running++;
+    return __builtin_convertvector(counts, vec);
+}
+
+INLINE vec squared(ivec x)
+{
+    vec y = __builtin_convertvector(x, vec);
+    return y * y;
+}
+
+/* Variance of the centroid but for its gain: each photon of light moves it by the reference's
+ * slope, each of the reference by the light's; see `_centroid_deviation` of paper.py. */
+INLINE vec scatter(const Paper *paper, const Group *group)
+{
+    int reach = paper->reach;
+    Slope light = slope_at(group->running, reach), reference = slope_at(group->shifted, reach);
+    vec by_light = {0}, by_reference = {0};
+    for (int i = 0; i < paper->bins; i++) {
+        vec moves = squared(reference.slope), moved = squared(light.slope);
+        by_light += moves * advance(&light, reach);
+        by_reference += moved * advance(&reference, reach);
+    }
+    return by_light + by_reference;
+}
+
+/* How much less than its mass the peak moves the centroid, as its window follows. */
+INLINE void gains(const Paper *paper, Group *group, vec pedestal, const int32_t *whole,
+                  double *gain)
+{
+    int reach = paper->reach, low = paper->most, high = -paper->most;
+    ivec middle;
+    for (int lane = 0; lane < LANES; lane++) {
+        middle[lane] = whole[lane];
+        low = whole[lane] < low ? whole[lane] : low;
+        high = whole[lane] > high ? whole[lane] : high;
+    }
+    low -= reach, high += reach;
+    extend(paper, group, low, high + 1);
+    vec inside = {0}, edges = {0};
+    for (int lag = low; lag <= high; lag++) {
+        vec above = group->correlation[lag] - pedestal;
+        ivec before = lag < middle - reach, after = lag > middle + reach;
+        ivec edge = (lag == middle - reach) | (lag == middle + reach);
+        inside += choose(before | after, (vec){0}, above);
+        edges += choose(edge, above, (vec){0});
+    }
+    for (int lane = 0; lane < LANES; lane++) {
+        double edge = edges[lane];
+        gain[lane] = (double)inside[lane] - paper->half_width * (edge > 0 ? edge : 0);
+    }
+}
+
+/* A pixel's counts before a bin that may lie on another turn. */
 INLINE double before(const Paper *paper, const int32_t *running, int bin)
 {
-    int bins = paper->bins;
+    int bins = paper->bins, turns = 0;
     if (!paper->circular)
-        return running[bin < 0 ? 0 : bin > bins ? bins : bin] - running[0];
-    int turns = bin / bins - (bin % bins < 0), rest = bin - turns * bins;
-    return (double)(running[rest] - running[0])
-         + (double)turns * (double)(running[bins] - running[0]);
+        return running[(bin < 0 ? 0 : bin > bins ? bins : bin) * LANES];
+    for (; bin < 0; bin += bins)
+        turns--;
+    for (; bin > bins; bin -= bins)
+        turns++;
+    return (double)running[bin * LANES] + (double)turns * (double)running[bins * LANES];
 }
 
-/* One pixel whose light is on the sheet; `influence` is the reference's, see paper_compiled.py. */
-INLINE void correlate_pixel(const Paper *paper, const Sheet *sheet, const uint16_t *reference,
-                            const float *influence, double pixel_delay, double *delay,
-                            double *deviation, double *sums, double *background)
+/* A pixel's counts in the bands' windows, moved by `shift` bins. */
+INLINE void sum_windows(const Paper *paper, const int32_t *running, int shift, double *sums)
 {
-    int bins = paper->bins, reach = paper->reach, most = paper->most;
-    memcpy(sheet->light, sheet->light + bins, (size_t)reach * sizeof(float));
-    memcpy(sheet->light + bins + reach, sheet->light + reach, (size_t)reach * sizeof(float));
-    widen(reference, bins, sheet->reference + most);
-    int some = occupied(sheet->light + reach, bins, sheet->bins, sheet->counts);
-    sum_up(sheet->light, bins + 2 * reach, sheet->running + 1, sheet->twice + 2);
-    int low = most - paper->search, high = most + paper->search + 1;
-    correlate(sheet, some, low, high);
-    float pedestal;
-    *delay = centroid(paper, sheet, some, &pedestal, &low, &high);
-    int whole = (int)rint(*delay);
-    if (most + whole - reach < low || most + whole + reach >= high) {
-        correlate(sheet, some, 0, most - paper->search);
-        correlate(sheet, some, most + paper->search + 1, 2 * most + 1);
-    }
-    *deviation = deviation_of(paper, sheet, influence, whole, pedestal);
-    const int32_t *running = sheet->running + reach;
-    int shift = (int)rint(*delay + pixel_delay);
     for (int k = 0; k < paper->bands; k++)
         sums[k] = 0;
     for (int w = 0; w < paper->windows; w++) {
@@ -257,23 +199,58 @@ INLINE void correlate_pixel(const Paper *paper, const Sheet *sheet, const uint16
         sums[window[0]] += before(paper, running, window[2] + shift)
                          - before(paper, running, window[1] + shift);
     }
-    double apart = 0;
+}
+
+/* Pixels of `which` from `at` on, LANES at most. */
+INLINE void correlate_group(const Paper *paper, Group *group, const Light *light,
+                            const int64_t *which, size_t at, size_t end,
+                            const PaperResults *results)
+{
+    const int64_t *pixel = which + at;
+    int count = end - at < LANES ? (int)(end - at) : LANES;
+    double delay[LANES], gain[LANES];
+    int32_t whole[LANES];
+    find_rows(paper, group, light, which, at, end);
+    prepare_group(paper, group, light);
+    extend(paper, group, -paper->search, paper->search + 1);
+    vec pedestal = search_peak(paper, group, delay);
+    follow(paper, group, pedestal, delay);
+    for (int lane = 0; lane < LANES; lane++)
+        whole[lane] = (int32_t)rint(delay[lane]);
+    gains(paper, group, pedestal, whole, gain);
+    shift_references(paper, group, whole);
+    vec variance = scatter(paper, group);
+    ivec apart = {0};
     for (int g = 0; g < paper->gaps; g++)
-        apart += running[paper->gap[2 * g + 1]] - running[paper->gap[2 * g]];
-    *background = paper->outside ? apart / paper->outside : NAN;
+        apart += group->running[paper->gap[2 * g + 1]] - group->running[paper->gap[2 * g]];
+    for (int lane = 0; lane < count; lane++) {
+        size_t place = at + (size_t)lane;
+        results->delay[place] = delay[lane];
+        results->deviation[place] = gain[lane] > 0 ? sqrt((double)variance[lane]) / gain[lane]
+                                                   : INFINITY;
+        results->background[place] = paper->outside ? (double)apart[lane] / paper->outside : NAN;
+        sum_windows(paper, (const int32_t *)group->running + lane,
+                    (int)rint(delay[lane] + paper->pixel_delays[pixel[lane]]),
+                    results->sums + place * (size_t)paper->bands);
+    }
 }
 
-static size_t sheet_bytes(const Paper *paper)
+/* Scratch memory of a group, laid out from `block` on; returns how much, also without a block. */
+static size_t lay_out(const Paper *paper, char *block, Group *group)
 {
-    return 10 * 4 * (size_t)(paper->bins + 2 * paper->most + 2 * paper->reach + 8 * LANES) + 64 * 12;
-}
-
-static void lay_out(const Paper *paper, char *place, Sheet *sheet)
-{
-    size_t room = 4 * (size_t)(paper->bins + 2 * paper->most + 2 * paper->reach + 8 * LANES);
-    char **parts[] = {(char **)&sheet->light, (char **)&sheet->reference,
-                      (char **)&sheet->correlation, (char **)&sheet->counts, (char **)&sheet->steep,
-                      (char **)&sheet->bins, (char **)&sheet->running, (char **)&sheet->twice};
-    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++, place += (room + 63) / 64 * 64)
-        *parts[i] = place;
+    size_t bins = (size_t)paper->bins + 2 * LANES, lags = (size_t)paper->most + LAGS + 2;
+    size_t reach = (size_t)paper->reach + 2;
+    size_t sizes[] = {bins + 2 * reach, bins + 2 * reach, bins, bins + 2 * lags,
+                      2 * lags + 1, 4 * lags + 2, 4 * lags + 2};
+    size_t origins[] = {reach, reach, 0, lags, lags, 2 * lags, 2 * lags};
+    void *parts[sizeof sizes / sizeof *sizes];
+    size_t used = 0;
+    for (size_t i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+        parts[i] = block ? block + (used + origins[i]) * sizeof(vec) : NULL;
+        used += sizes[i];
+    }
+    *group = (Group){.running = parts[0], .shifted = parts[1], .first = parts[2],
+                     .second = parts[3], .correlation = parts[4], .mass = parts[5],
+                     .moment = parts[6]};
+    return used * sizeof(vec);
 }

@@ -8,7 +8,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 
 from hueflight.calibration import Calibration
 from hueflight.reconstruction.kernels import COUNT_TYPES, chosen_backend, compiled_kernel
@@ -43,9 +42,8 @@ class Ready:
 
     Attributes
     ----------
-    reference : (pixel, bin) whole counts.
-    influence : (pixel, bin) how much one more photon of light in a bin would move the centroid,
-        but for a factor that all bins share.
+    reference : (pixel, bin) whole counts, continued around the circle by as many bins on both
+        sides as there are lags.
     """
 
     numbers: NDArray[np.int32]
@@ -53,7 +51,6 @@ class Ready:
     windows: NDArray[np.int32]
     gaps: NDArray[np.int32]
     reference: NDArray[np.uint16]
-    influence: NDArray[np.float32]
     pixel_delays: NDArray[np.float64]
 
 
@@ -90,7 +87,7 @@ def measure(
         light,
         np.ascontiguousarray(pixels, np.int64),
         *(ready.numbers, ready.half_width, ready.windows, ready.gaps),
-        *(ready.reference, ready.influence, ready.pixel_delays),
+        *(ready.reference, ready.pixel_delays),
         *(delay, deviation, sums, background),
     )
     return Measured(delay, deviation, sums, background)
@@ -99,20 +96,20 @@ def measure(
 def _made_ready(
     calibration: Calibration, search: Search, outside: NDArray[np.bool_]
 ) -> Ready | None:
-    """None if the reference does not consist of whole counts of 16 bits."""
+    """None if the reference does not consist of whole counts of 16 bits, or its sums overflow."""
     counts = calibration.reference.reshape(-1, calibration.bins.count)
-    reference = np.empty(counts.shape, np.uint16)
-    influence = np.empty(counts.shape, np.float32)
     reach = round(search.half_width)
-    ramp = np.arange(-reach, reach + 1, dtype=np.float32)
+    highest = min(np.iinfo(np.uint16).max, 2**32 // (reach + 1) ** 2)  # its slopes are of 32 bits
+    around = np.arange(-search.most, counts.shape[1] + search.most) % counts.shape[1]
+    reference = np.empty((len(counts), around.size), np.uint16)
     for start in range(0, len(counts), TILE_PIXELS):
-        tile = slice(start, start + TILE_PIXELS)
-        if not ((counts[tile] >= 0) & (counts[tile] <= np.iinfo(np.uint16).max)).all():
+        tile = counts[start : start + TILE_PIXELS]
+        if not ((tile >= 0) & (tile <= highest)).all():
             return None
-        reference[tile] = counts[tile]
-        if (reference[tile] != counts[tile]).any():
+        whole = tile.astype(np.uint16)
+        if (whole != tile).any():
             return None
-        influence[tile] = correlate1d(np.asarray(counts[tile], np.float32), ramp, mode="wrap")
+        reference[start : start + TILE_PIXELS] = whole[:, around]
     steps = np.diff(np.concatenate([[0], outside.astype(np.int8), [0]]))
     gaps = np.stack([np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)], axis=-1)
     circular = calibration.bins.period_ns is not None
@@ -125,6 +122,5 @@ def _made_ready(
         windows=np.array(windows, np.int32),
         gaps=gaps.astype(np.int32),
         reference=reference,
-        influence=influence,
         pixel_delays=np.ascontiguousarray(calibration.pixel_delay.ravel(), np.float64),
     )

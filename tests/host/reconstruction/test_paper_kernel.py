@@ -184,7 +184,7 @@ def test_buffers_that_do_not_fit_are_refused(instrument, calibration, draw):
             light,
             pixels,
             *(numbers, ready.half_width, windows, ready.gaps),
-            *(ready.reference, ready.influence, ready.pixel_delays),
+            *(ready.reference, ready.pixel_delays),
             *(np.empty(delays), np.empty(144), np.empty((144, 9)), np.empty(144)),
         )
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Array, Module, Mux, Signal, Value
 from amaranth.lib import data, enum, wiring
 from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
+from amaranth.utils import ceil_log2
 
 from .config import PulseConfig
 
 WORDS_PER_STEP = 4
+_LUT_DEPTH = 16
+"""Of a memory that is one LUT a bit."""
 
 
 class _State(enum.Enum):
@@ -132,18 +135,30 @@ class ProgramReader(wiring.Component):
             ]
         return m
 
-    def _memory(self, m: Module, word: int, address: Signal) -> Signal:
-        """Return one of a step's words, one clock after its address."""
+    def _memory(self, m: Module, word: int, address: Signal) -> Value:
+        """Return one of a step's words, one clock after its address.
+
+        A memory made of LUTs is several, each as deep as one LUT and with registers of its own:
+        the choice between them comes one clock later, when the address still stands.
+        """
         attributes = {"ram_style": self.memory_style} if self.memory_style else {}
-        memory = Memory(shape=32, depth=self.config.steps, init=[], attrs=attributes)
-        m.submodules[f"memory{word}"] = memory
-        store = memory.write_port(domain="sync")
-        load = memory.read_port(domain="pulse")
-        m.d.comb += [
-            store.en.eq(self.write & (self.address[:2] == word)),
-            store.addr.eq(self.address[2:]),
-            store.data.eq(self.word),
-            load.en.eq(1),
-            load.addr.eq(address),
-        ]
-        return load.data
+        depth = self.config.steps
+        if self.memory_style == "distributed":
+            depth = min(depth, _LUT_DEPTH)
+        low = ceil_log2(depth)
+        loaded = []
+        for part in range(-(-self.config.steps // depth)):
+            memory = Memory(shape=32, depth=depth, init=[], attrs=attributes)
+            m.submodules[f"memory{word}_{part}"] = memory
+            store = memory.write_port(domain="sync")
+            load = memory.read_port(domain="pulse")
+            written = self.address[2:]
+            m.d.comb += [
+                store.en.eq(self.write & (self.address[:2] == word) & (written[low:] == part)),
+                store.addr.eq(written),
+                store.data.eq(self.word),
+                load.en.eq(1),
+                load.addr.eq(address),
+            ]
+            loaded.append(load.data)
+        return Array(loaded)[address[low:]] if len(loaded) > 1 else loaded[0]

@@ -98,12 +98,14 @@ class PulseBench:
     Parameters
     ----------
     config : PulseConfig
+    memory_style : str, optional
+        As `PulseGenerator` has it.
     """
 
-    def __init__(self, config: PulseConfig) -> None:
+    def __init__(self, config: PulseConfig, *, memory_style: str | None = None) -> None:
         self.config = config
         self.simulation: Simulation = simulate(
-            PulseGenerator(config), clocks={"pulse": 1, "sync": 2}
+            PulseGenerator(config, memory_style=memory_style), clocks={"pulse": 1, "sync": 2}
         )
 
     def run(self, stimulus: Stimulus, /, *, settle: bool = True) -> Outcome:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -186,6 +186,16 @@ def test_steps_of_one_train_at_any_period(bench: Make, trigger_clocks: int):
     found = program_part(run.trains, SINGLE)
     units = (program_units(SINGLE) * 4)[: len(found)]
     assert same(found, units)
+
+
+def test_every_step_of_memories_made_of_luts():
+    """They are as deep as one LUT each: 32 steps are in two of them."""
+    program = [Step(1, 0, Choice(number % 2, 1 + number % 7, number + 1)) for number in range(32)]
+    config = replace(small_config(4), steps=len(program))
+    run = play(PulseBench(config, memory_style="distributed"), program, clocks=16 * 50,
+               trigger_clocks=16)  # fmt: skip
+    units = program_units(program)
+    assert same(program_part(run.trains, program)[: len(units)], units)
 
 
 def test_frame_syncs_step_the_program(bench: Make):

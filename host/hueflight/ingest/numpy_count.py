@@ -17,7 +17,7 @@ from hueflight_protocol.wire import ChunkKind, dense_bytes
 
 TILE = 64  # pixels that are added to the table together or not at all
 SLACK = 8  # bytes that may be read behind a payload: its packet's trailer is longer
-AT_ONCE = 1 << 16  # pixels whose bitmaps are unpacked at once: few enough for the cache
+AT_ONCE = 1 << 18  # pixels whose bitmaps are unpacked at once: a few MB, and few calls
 ADD, STORE, SATURATE, SUBTRACT = range(4)
 
 _Ints = NDArray[np.intp]

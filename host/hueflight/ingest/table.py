@@ -169,7 +169,8 @@ class Table:
                 end,
             )
 
-        cuts = np.linspace(0, len(done), min(self._threads, len(done)) + 1).astype(int).tolist()
+        parts = min(self._threads, len(done))
+        cuts = [len(done) * part // parts for part in range(parts + 1)]
         if len(cuts) == 2:
             results = [work(*cuts)]
         else:

@@ -4,8 +4,9 @@
  * it at once, because one stream waits three clocks for each result. The three remainders are
  * joined by moving a remainder past LANE zero bytes, which is linear: one table per byte of it. */
 
-enum { LONG_LANE = 1024, SHORT_LANE = 128 };
+enum { LONG_LANE = 1024, SHORT_LANE = 128, FOLDED = 256 };
 static uint32_t crc_table[8][256], past_long[4][256], past_short[4][256];
+static uint64_t fold_far[2], fold_near[2];
 
 static void make_past(uint32_t table[4][256], unsigned zeros)
 {
@@ -16,6 +17,15 @@ static void make_past(uint32_t table[4][256], unsigned zeros)
                 crc = crc >> 8 ^ crc_table[0][crc & 255];
             table[byte][value] = crc;
         }
+}
+
+/* x^(8 n) modulo the polynomial, shifted as a product of reflected factors needs it. */
+static uint64_t power(unsigned n)
+{
+    uint32_t crc = 1u << 31;
+    while (n--)
+        crc = crc >> 8 ^ crc_table[0][crc & 255];
+    return (uint64_t)crc << 1;
 }
 
 static void make_crc_tables(void)
@@ -32,6 +42,10 @@ static void make_crc_tables(void)
                 crc_table[k - 1][value] >> 8 ^ crc_table[0][crc_table[k - 1][value] & 255];
     make_past(past_long, LONG_LANE);
     make_past(past_short, SHORT_LANE);
+    fold_far[0] = power(FOLDED + 4);
+    fold_far[1] = power(FOLDED - 4);
+    fold_near[0] = power(FOLDED / 4 + 4);
+    fold_near[1] = power(FOLDED / 4 - 4);
 }
 
 static uint32_t crc_by_table(uint32_t crc, const uint8_t *p, size_t size)
@@ -76,7 +90,44 @@ static uint32_t crc_by_instruction(uint32_t crc, const uint8_t *p, size_t size)
     uint64_t state = crc;
     for (; size >= 8; size -= 8, p += 8)
         state = _mm_crc32_u64(state, load64(p));
-    return crc_by_table((uint32_t)state, p, size);
+    crc = (uint32_t)state;
+    for (; size >= 4; size -= 4, p += 4)
+        crc = _mm_crc32_u32(crc, load32(p));
+    for (; size; size--)
+        crc = _mm_crc32_u8(crc, *p++);
+    return crc;
+}
+
+/* Move remainders of 16 bytes past what lies between them and `next`, to which they are added. */
+AVX512_INLINE __m512i fold(__m512i crc, __m512i past, __m512i next)
+{
+    return _mm512_ternarylogic_epi64(_mm512_clmulepi64_epi128(crc, past, 0x00),
+                                     _mm512_clmulepi64_epi128(crc, past, 0x11), next, 0x96);
+}
+
+AVX512 static uint32_t crc_by_folding(uint32_t crc, const uint8_t *p, size_t size)
+{
+    if (size < FOLDED)
+        return crc_by_instruction(crc, p, size);
+    const __m512i far = _mm512_broadcast_i32x4(_mm_loadu_si128((const __m128i *)fold_far));
+    const __m512i near = _mm512_broadcast_i32x4(_mm_loadu_si128((const __m128i *)fold_near));
+    __m512i a = _mm512_loadu_si512(p), b = _mm512_loadu_si512(p + 64);
+    __m512i c = _mm512_loadu_si512(p + 128), d = _mm512_loadu_si512(p + 192);
+    a = _mm512_xor_si512(a, _mm512_zextsi128_si512(_mm_cvtsi32_si128((int)crc)));
+    for (p += FOLDED, size -= FOLDED; size >= FOLDED; p += FOLDED, size -= FOLDED) {
+        for (unsigned line = 0; line < FOLDED; line += 64)
+            PREFETCH(p + 3 * LONG_LANE + line);
+        a = fold(a, far, _mm512_loadu_si512(p));
+        b = fold(b, far, _mm512_loadu_si512(p + 64));
+        c = fold(c, far, _mm512_loadu_si512(p + 128));
+        d = fold(d, far, _mm512_loadu_si512(p + 192));
+    }
+    d = fold(fold(fold(a, near, b), near, c), near, d);
+    for (; size >= 64; p += 64, size -= 64)
+        d = fold(d, near, _mm512_loadu_si512(p));
+    uint8_t folded[64]; /* has the same remainder as all before p */
+    _mm512_storeu_si512(folded, d);
+    return crc_by_instruction(crc_by_instruction(0, folded, sizeof folded), p, size);
 }
 #endif
 
@@ -84,6 +135,8 @@ static uint32_t crc_by_instruction(uint32_t crc, const uint8_t *p, size_t size)
 static uint32_t crc_more(uint32_t crc, const uint8_t *p, size_t size)
 {
 #ifdef X86_DISPATCH
+    if (has_avx512)
+        return crc_by_folding(crc, p, size);
     if (has_crc_instruction)
         return crc_by_instruction(crc, p, size);
 #endif
@@ -111,5 +164,9 @@ static void start_kernels(void)
     has_bit_instructions = __builtin_cpu_supports("popcnt") && __builtin_cpu_supports("bmi")
                         && __builtin_cpu_supports("bmi2");
     has_avx2 = __builtin_cpu_supports("avx2");
+    has_avx512 = has_bit_instructions && has_crc_instruction && __builtin_cpu_supports("avx512f")
+              && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl")
+              && __builtin_cpu_supports("avx512vbmi") && __builtin_cpu_supports("avx512vbmi2")
+              && __builtin_cpu_supports("vpclmulqdq");
 #endif
 }

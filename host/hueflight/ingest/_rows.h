@@ -5,6 +5,7 @@
  * go: the camera's "no photon", and the codes that it did not send. */
 enum {
     SPARE = 16, /* counters between two pixels' in a tile: powers of two collide in the cache */
+    ROWS_NARROW = 32, /* codes of a narrow tile */
     ROWS_AHEAD = 24 /* rows of the table that are fetched ahead */
 };
 enum { ADD, STORE, SATURATE, SUBTRACT };
@@ -79,10 +80,10 @@ INLINE void saturate_##word(word *restrict row, const uint16_t *restrict seen, s
     row[0] = (word)(row[0] + kept); \
     *clipped += (uint64_t)lost + (uint64_t)(rest - kept); \
 } \
-INLINE int put_##word(word *rows, const Seen *tile, unsigned pixels, size_t codes, \
-                      size_t frames, int mode, uint64_t *photons, uint64_t *clipped) \
+INLINE int put_codes_##word(word *rows, const Seen *tile, const size_t from, const size_t to, \
+                            unsigned pixels, size_t codes, size_t frames, int mode, \
+                            uint64_t *photons, uint64_t *clipped) \
 { \
-    const size_t from = tile->from, to = tile->to; \
     uint64_t sum = 0; \
     unsigned over = 0; \
     for (unsigned i = 0; i < pixels; i++) { \
@@ -108,6 +109,18 @@ INLINE int put_##word(word *rows, const Seen *tile, unsigned pixels, size_t code
         return 0; \
     *photons += sum; \
     return 1; \
+} \
+/* Loops of constant length where the lengths are few. */ \
+INLINE int put_##word(word *rows, const Seen *tile, unsigned pixels, size_t codes, \
+                      size_t frames, int mode, uint64_t *photons, uint64_t *clipped) \
+{ \
+    const size_t from = tile->from, to = tile->to; \
+    return !to ? put_codes_##word(rows, tile, 0, 0, pixels, codes, frames, mode, photons, clipped) \
+        : to == from + ROWS_NARROW \
+            ? put_codes_##word(rows, tile, from, from + ROWS_NARROW, pixels, codes, frames, mode, \
+                               photons, clipped) \
+            : put_codes_##word(rows, tile, from, to, pixels, codes, frames, mode, photons, \
+                               clipped); \
 }
 DEFINE_ROWS(uint16_t, UINT16_MAX)
 DEFINE_ROWS(uint32_t, UINT32_MAX)

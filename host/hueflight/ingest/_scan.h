@@ -45,11 +45,11 @@ INLINE uint64_t chunk_entry(size_t offset, unsigned hits, unsigned kind)
 }
 
 /* Payload bytes of a chunk, and from how many hits on it is dense (rule F9). */
-typedef struct { unsigned pixels, bits, dense_from; size_t dense_bytes; } Shape;
+typedef struct { unsigned pixels, bits, dense_from, map_bits; size_t dense_bytes; } Shape;
 
 static Shape chunk_shape(unsigned pixels, unsigned bits)
 {
-    Shape shape = {pixels, bits, 1, ((size_t)pixels * bits + 31) / 32 * 4};
+    Shape shape = {pixels, bits, 1, (pixels + 7) / 8 * 8, ((size_t)pixels * bits + 31) / 32 * 4};
     int64_t spare = 8 * ((int64_t)shape.dense_bytes - 4 - (pixels + 7) / 8);
     shape.dense_from += spare > 0 ? (unsigned)(spare / bits) : 0;
     return shape;
@@ -59,7 +59,7 @@ INLINE size_t payload_bytes(const Shape *shape, unsigned hits, unsigned kind)
 {
     if (kind == DENSE)
         return shape->dense_bytes;
-    return ((shape->pixels + 7) / 8 + ((size_t)hits * shape->bits + 7) / 8 + 3) & ~(size_t)3;
+    return (shape->map_bits + (size_t)hits * shape->bits + 31) / 32 * 4; /* walking waits for it */
 }
 
 /* Check the header at p, of which `left` bytes are there; its size goes to *size. */
@@ -98,6 +98,7 @@ static Verdict walk_frame(Scan *scan, const uint8_t *p, size_t left, int ours, s
     unsigned count = (rows * cols + run - 1) / run, found = 0, next = 0;
     Shape inner = chunk_shape(run, bits), last = chunk_shape(rows * cols - (count - 1) * run, bits);
     uint64_t *entry = scan->chunks + scan->frames;
+    enum { FETCHED = 512 };
     size_t at = FRAME_HEADER, base = (size_t)(p - scan->data), summed = 0;
     uint32_t hits = 0, crc = ~0u;
     for (;;) {
@@ -109,6 +110,7 @@ static Verdict walk_frame(Scan *scan, const uint8_t *p, size_t left, int ours, s
             scan->needed = at + 4;
             return MORE;
         }
+        PREFETCH_NOW(p + at + FETCHED);
         uint32_t word = load32(p + at);
         unsigned kind = word & 3, index = word >> 2 & 0x3fff, here = word >> 16;
         if (kind == END)

@@ -8,7 +8,16 @@
 
 #if defined(__x86_64__)
 #define X86_DISPATCH 1 /* variants for newer processors, chosen at run time */
-#include <nmmintrin.h>
+#include <immintrin.h>
+#if defined(__clang__) /* which has no word for it */
+#define WIDEST_VECTORS
+#else
+#define WIDEST_VECTORS ",prefer-vector-width=512"
+#endif
+#define AVX512 __attribute__((target( \
+    "avx512f,avx512bw,avx512vl,avx512vbmi,avx512vbmi2,vpclmulqdq,bmi,bmi2,popcnt,sse4.2" \
+    WIDEST_VECTORS)))
+#define AVX512_INLINE AVX512 static inline __attribute__((always_inline))
 #endif
 
 #if !defined(__GNUC__) /* clang defines it too */
@@ -42,6 +51,6 @@ INLINE uint32_t load32(const uint8_t *p)
 INLINE uint64_t load64(const uint8_t *p) { return load32(p) | (uint64_t)load32(p + 4) << 32; }
 
 /* What this processor has; set by start_kernels. */
-static int has_crc_instruction, has_bit_instructions, has_avx2;
+static int has_crc_instruction, has_bit_instructions, has_avx2, has_avx512;
 
 #endif

@@ -35,10 +35,10 @@ INLINE float contrast(const Plan *plan, const float *now, const float *then, flo
     for (int run = coarse->places[here]; run < coarse->places[here + 1]; run++) {
         const int16_t *bins = coarse->runs + (size_t)run * 3;
         vec x = {0}, y = {0};
-        for (int j = bins[1]; j < bins[2]; j += LANES) {
-            ivec inside = lane_numbers() < bins[2] - j;
-            x += choose(inside, load((const float *)apart + j), (vec){0});
-            y += choose(inside, load((const float *)spreads + j), (vec){0});
+        for (int v = bins[1] / LANES; v * LANES < bins[2]; v++) {
+            ivec bin = lane_numbers() + v * LANES, inside = (bin >= bins[1]) & (bin < bins[2]);
+            x += choose(inside, apart[v], (vec){0});
+            y += choose(inside, spreads[v], (vec){0});
         }
         gaps[bins[0]] += sum(x);
         sizes[bins[0]] += sum(y);

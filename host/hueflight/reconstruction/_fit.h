@@ -137,7 +137,7 @@ INLINE void fit_tile(const Plan *plan, const Light *light, const int64_t *which,
                    &others[p]);
         float variance = track->variance;
         float delay = track->delay + 0.25f * variance * variance * track->cubic;
-        if (rules->posterior && variance > rules->spread_ns * rules->spread_ns / rules->few)
+        if (rules->posterior && variance > rules->spread_ns * rules->spread_ns / rules->fewest)
             posterior(plan, fine, totals[p], track, scratch->work, &delay, &variance);
         float low = local[p] + rules->low_ns, high = local[p] + rules->high_ns;
         delay = delay < low ? low : delay > high ? high : delay;

@@ -96,7 +96,8 @@ static void make_plan(const Py_buffer *held, Plan *plan)
                   .floor_photons = x[13], .floor_share = x[14], .ridge = x[15],
                   .margin = x[16], .ambiguous = x[17], .few = x[18], .spacing = x[19],
                   .spread_ns = x[20], .low_ns = x[21], .high_ns = x[22], .target_ns = x[23],
-                  .raster = x[24], .dark_width = x[25], .settled_amplitude = x[26]},
+                  .raster = x[24], .dark_width = x[25], .settled_amplitude = x[26],
+                  .fewest = x[27]},
     };
 }
 

@@ -46,7 +46,7 @@ typedef struct {
     float shares[SHARES], logs[SHARES];
     int steps, few_steps, nodes, rounds;
     float settled, floor_photons, floor_share, ridge, margin, ambiguous, few, spacing;
-    float spread_ns, low_ns, high_ns, target_ns, raster, dark_width, settled_amplitude;
+    float spread_ns, low_ns, high_ns, target_ns, raster, dark_width, settled_amplitude, fewest;
     int rough, settle, posterior;
 } Rules;
 

@@ -11,7 +11,8 @@ Maximum likelihood for Poisson counts, in four steps:
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
 4. *Posterior*: where photons are few the likelihood is not a parabola; the delay and its
    deviation are then the mean and deviation of the likelihood on a few delays around its
-   maximum. Elsewhere a third-order correction of the parabola does.
+   maximum. Elsewhere, and that is from 60 photons on, a third-order correction of the parabola
+   does.
 
 Everything here works on pixels side by side; `kernels` holds the same in C.
 """
@@ -37,8 +38,9 @@ RIDGE = 1e-6  #: on the unit diagonal of the normal equations
 MARGIN = 6.0  #: log-likelihood by which a second delay may be worse and is still looked at
 RASTER = 0.07  #: and by this much per photon: a delay between two lags of the search loses that
 AMBIGUOUS = 3.0  #: log-likelihood by which the better delay must win (20 : 1)
-FEW_PHOTONS = 300.0  #: the posterior stage is for pixels that know no more than this many tell
-FEW_STEPS = 2  #: of scoring that those take at least: amplitudes settle later than the delay
+FEW_PHOTONS = 300.0  #: pixels that know no more of their delay than this many would tell
+FEW_STEPS = 2  #: take this many steps at least: amplitudes settle later than the delay
+POSTERIOR_PHOTONS = 60.0  #: the posterior stage is for pixels that know no more than this many tell
 NODES = 7  #: delays on which the posterior is looked at,
 NODE_SPACING = 1.2  #: this many deviations apart: of a parabola exact to 1e-5 (trapezoids)
 LIKELIHOOD_ROUNDS = 6  #: of expectation maximisation before two likelihoods are compared
@@ -52,7 +54,7 @@ class Switches:
     ----------
     rough : scoring begins at the bins of the search; with a `target_ns` it always does.
     settle : scoring ends when a delay has settled (else all steps are taken).
-    posterior : few photons get the posterior stage (else the correction only).
+    posterior : the fewest photons get the posterior stage (else the correction only).
     target_ns : scoring ends after the rough bins where the deviation is below this already.
     """
 
@@ -173,7 +175,7 @@ def fit(
     variance = state.covariance[:, -1, -1].copy()
     delay = state.delay + variance**2 * state.cubic / 4
     if switches.posterior:
-        few = np.flatnonzero(variance > plan.spread_ns**2 / FEW_PHOTONS)
+        few = np.flatnonzero(variance > plan.spread_ns**2 / POSTERIOR_PHOTONS)
         if few.size:
             delay[few], variance[few] = _posterior(
                 counts[few], total[few], state.take(few), plan.fine

@@ -112,7 +112,7 @@ def rules(
         *(fit.SETTLED, fit.FLOOR_PHOTONS, fit.FLOOR_SHARE, fit.RIDGE),
         *(fit.MARGIN, fit.AMBIGUOUS, fit.FEW_PHOTONS, fit.NODE_SPACING),
         *(plan.spread_ns, *plan.search_ns, switches.target_ns, fit.RASTER, fit.DARK_WIDTH),
-        fit.SETTLED_AMPLITUDE,
+        *(fit.SETTLED_AMPLITUDE, fit.POSTERIOR_PHOTONS),
     ]
     return np.array(integers, np.int32), np.array(reals, np.float32)
 

@@ -15,6 +15,7 @@ from hueflight_protocol import (
     Frame,
     PacketHeader,
     PacketParser,
+    crc32c,
     encode_event,
     encode_frame,
 )
@@ -240,6 +241,32 @@ def test_every_code_width(
             _, counts = through(kernels, data, 9, 17, code_bits, final=True, limit=9)
             expected = counted(codes, code_bits).reshape(counts.shape)
             np.testing.assert_array_equal(counts, expected)
+
+
+@pytest.mark.parametrize("code_bits", range(4, 17))
+def test_few_hits_with_codes_close_together(
+    kernels: Kernels, stream: Callable[..., bytes], counted: Callable[..., Any], code_bits: int
+) -> None:
+    """Crowded into one word of the bitmap or spread over it, and many in all."""
+    rng = np.random.default_rng(code_bits)
+    first = int(rng.integers(1, (1 << code_bits) - 12))
+    codes = np.zeros((90, 4, 128), np.uint16)
+    for i, frame in enumerate(codes):
+        pixels = rng.choice(64 if i % 2 else 512, 31, replace=False) + 64 * (i % 4 == 1)
+        frame.reshape(-1)[pixels] = rng.integers(first, first + 12, 31)
+    for run in (512, 200, 48):
+        data = stream(codes, code_bits=code_bits, run=run)
+        _, counts = through(kernels, data, 4, 128, code_bits, final=True, limit=90)
+        expected = counted(codes, code_bits).reshape(counts.shape)
+        np.testing.assert_array_equal(counts, expected)
+
+
+@needs_c
+def test_crc_of_every_length() -> None:
+    compiled: Any = BACKENDS["c"]
+    octets = np.random.default_rng(0).bytes(7000)
+    for size in (*range(1100), 3071, 3072, 3073, 6999, 7000):
+        assert compiled.crc32c(octets[-size or 7000 :]) == crc32c(octets[-size or 7000 :])
 
 
 @needs_c

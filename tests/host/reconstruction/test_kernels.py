@@ -179,4 +179,4 @@ def test_from_some_photons_on_a_corrected_parabola_says_what_the_posterior_says(
     whole = definition.fit(light, np.zeros(144), plan)
     apart = np.abs(found.delay_ns - whole.delay_ns) / whole.delay_std_ns
     assert 0 < np.sqrt(np.mean(apart**2)) < 0.15  # adds no more than 2 % to the variance
-    assert np.abs(found.delay_std_ns / whole.delay_std_ns - 1).mean() < 0.03
+    assert np.abs(found.delay_std_ns / whole.delay_std_ns - 1).mean() < 0.08

@@ -28,6 +28,8 @@ _PACKERS = {
     "ice40": ("nextpnr-ice40", "icepack", ".asc", ".bin"),
 }
 """Router, packer, and the names of what they write."""
+_ECP5_ROUTE = " --placer-heap-timingweight 30 --tmg-ripup"
+"""These designs fill little of the device, and the usual weight of 10 scatters them over it."""
 
 Progress = Callable[[str], None]
 
@@ -121,7 +123,7 @@ def prepare(target: Target, folder: Path, /) -> list[list[str]]:
     folder.mkdir(parents=True, exist_ok=True)
     options = {
         "nextpnr_opts": "--report nextpnr.json --timing-allow-fail"
-        + (" --tmg-ripup" if target.family == "ecp5" else ""),
+        + (_ECP5_ROUTE if target.family == "ecp5" else ""),
         **({"ecppack_opts": "--compress"} if target.family == "ecp5" else {}),
         **target.options,
     }

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from amaranth.build import Platform
-from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Module, Signal
-from amaranth.lib.cdc import ResetSynchronizer
+from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Instance, Module, Signal
+from amaranth.lib.cdc import FFSynchronizer
 
 from ..designs.camera import Camera, CameraConfig
 from ..frame.format import FrameFormat
@@ -39,6 +39,10 @@ def camera_config(lanes: int | None = None) -> CameraConfig:
 class CameraClocks(Elaboratable):
     """Domain `sync` (100 MHz) from 25 MHz, or as it comes from an oscillator of 100 MHz.
 
+    It has no reset, which would be one more input of most logic, from thousands of wires' one
+    end. Its clock stands still until there is something to count on, so that every register
+    leaves its configured value on the same, clean edge.
+
     # Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL.
     """
 
@@ -48,23 +52,28 @@ class CameraClocks(Elaboratable):
 
     def add_to(self, m: Module, platform: Platform) -> None:
         """Add the domains to a module, and with them what makes them."""
-        m.domains.sync = sync = ClockDomain()
+        m.domains.sync = sync = ClockDomain(reset_less=True)
         platform.add_clock_constraint(sync.clk, SYNC_HZ * AIM)
         m.submodules.clocks = self
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
+        m.domains.free = ClockDomain(local=True, reset_less=True)
         ready = Signal()
         if self.clock_hz == SYNC_HZ:
-            m.d.comb += [ClockSignal().eq(self.clock), ready.eq(1)]
+            m.d.comb += [ClockSignal("free").eq(self.clock), ready.eq(1)]
         else:
             m.submodules.pll = ecp5_pll(
                 PllOutput(self.clock, self.clock_hz),
-                PllOutput(ClockSignal(), SYNC_HZ),
+                PllOutput(ClockSignal("free"), SYNC_HZ),
                 vco_hz=_VCO_HZ,
                 locked=ready,
             )
-        m.submodules.reset = ResetSynchronizer(~ready, domain="sync")
+        running = Signal()
+        m.submodules.running = FFSynchronizer(ready, running, o_domain="free", stages=3)
+        m.submodules.sync = Instance(
+            "DCCA", i_CLKI=ClockSignal("free"), i_CE=running, o_CLKO=ClockSignal()
+        )
         return m
 
 

@@ -85,6 +85,7 @@ class ProgramReader(wiring.Component):
         number = Signal(8)
         at_end = Signal()
         nonzero = Signal(8)
+        counts = Signal()  # the step to be fetched has trains
         state = Signal(_State)
         # memories made of LUTs spread wide: their address is a register of nothing else
         address = Signal(range(self.config.steps))
@@ -93,7 +94,8 @@ class ProgramReader(wiring.Component):
         m.d.pulse += [
             address.eq(number),
             at_end.eq(number >= self.length),
-            *(nonzero[i].eq(self.step.count[4 * i : 4 * i + 4].any()) for i in range(8)),
+            *(nonzero[i].eq(count[4 * i : 4 * i + 4].any()) for i in range(8)),
+            counts.eq(nonzero.any()),
         ]
         with m.Switch(state):
             with m.Case(_State.SEEK):  # `address` is one clock late
@@ -118,11 +120,11 @@ class ProgramReader(wiring.Component):
                     number.eq(number + 1),
                     state.eq(_State.CHECK),
                 ]
-            with m.Case(_State.CHECK):  # `nonzero` is one clock late
+            with m.Case(_State.CHECK):  # the next step's words are late by this clock too
                 m.d.pulse += state.eq(_State.OFFER)
             with m.Case(_State.OFFER):
-                m.d.pulse += self.ready.eq(nonzero.any())
-                m.d.pulse += state.eq(Mux(nonzero.any(), _State.WAIT, _State.LOOK))
+                m.d.pulse += self.ready.eq(counts)
+                m.d.pulse += state.eq(Mux(counts, _State.WAIT, _State.LOOK))
             with m.Case(_State.WAIT):
                 with m.If(self.take):
                     m.d.pulse += [self.ready.eq(0), state.eq(_State.LOOK)]

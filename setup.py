@@ -19,7 +19,8 @@ setup(
             "hueflight.ingest._kernels",
             sources=[f"{KERNELS}/_kernels.c"],
             depends=[
-                f"{KERNELS}/_{name}.h" for name in ("wire", "crc32c", "scan", "rows", "count")
+                f"{KERNELS}/_{name}.h"
+                for name in ("wire", "crc32c", "scan", "rows", "tiles", "narrow", "count")
             ],
             extra_compile_args=["-O3"],
             py_limited_api=True,

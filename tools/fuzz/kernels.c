@@ -88,9 +88,11 @@ static void count_frames(const Scan *scan, unsigned options)
 
 int LLVMFuzzerTestOneInput(const uint8_t *input, size_t size)
 {
-    static int started;
-    if (!started++)
+    static int started, here_avx512;
+    if (!started++) {
         start_kernels();
+        here_avx512 = has_avx512;
+    }
     if (size < OPTIONS)
         return 0;
     unsigned options = input[1];
@@ -98,6 +100,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *input, size_t size)
     has_bit_instructions = input[3] & 1;
     has_crc_instruction = input[3] >> 1 & 1;
     has_avx2 = input[3] >> 2 & 1;
+    has_avx512 = here_avx512 && input[3] >> 3 & 1;
     uint8_t *data = malloc(size - OPTIONS ? size - OPTIONS : 1);
     memcpy(data, input + OPTIONS, size - OPTIONS);
     if (options & MEND)

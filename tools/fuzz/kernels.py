@@ -79,7 +79,7 @@ def write_seeds(folder: Path) -> None:
                             abort_at=abort_at,
                         )
                     )
-                head = bytes([which, OPTIONS[number % 4], number % 7, number % 4])
+                head = bytes([which, OPTIONS[number % 4], number % 7, number % 16])
                 data = head + b"".join(packets)
                 if len(data) <= LONGEST:
                     (folder / f"seed-{number:02}").write_bytes(data)

@@ -252,8 +252,9 @@ def test_few_hits_with_codes_close_together(
     first = int(rng.integers(1, (1 << code_bits) - 12))
     codes = np.zeros((90, 4, 128), np.uint16)
     for i, frame in enumerate(codes):
-        pixels = rng.choice(64 if i % 2 else 512, 31, replace=False) + 64 * (i % 4 == 1)
-        frame.reshape(-1)[pixels] = rng.integers(first, first + 12, 31)
+        hits = int(rng.integers(1, 32))
+        pixels = rng.choice(64 if i % 2 else 512, hits, replace=False)
+        frame.reshape(-1)[pixels] = rng.integers(first, first + 12, hits)
     for run in (512, 200, 48):
         data = stream(codes, code_bits=code_bits, run=run)
         _, counts = through(kernels, data, 4, 128, code_bits, final=True, limit=90)

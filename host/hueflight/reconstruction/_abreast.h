@@ -6,7 +6,6 @@
 
 typedef uint32_t uvec __attribute__((vector_size(4 * LANES)));
 typedef int32_t loose_ints __attribute__((vector_size(4 * LANES), aligned(2), may_alias));
-typedef uint16_t half_lane __attribute__((may_alias));
 
 /* Lanes of two vectors, those of the second counted from LANES on. */
 INLINE ivec joined(ivec a, ivec b, ivec from)
@@ -57,74 +56,106 @@ INLINE void transpose(ivec *x)
 INLINE ivec first_of(ivec pair) { return (ivec)((uvec)pair >> 16); }
 INLINE ivec second_of(ivec pair) { return pair & 0xffff; }
 INLINE ivec across(ivec pair, ivec next) { return pair << 16 | first_of(next); }
+INLINE ivec paired(ivec first, ivec second) { return first << 16 | second; }
 #else
 INLINE ivec first_of(ivec pair) { return pair & 0xffff; }
 INLINE ivec second_of(ivec pair) { return (ivec)((uvec)pair >> 16); }
 INLINE ivec across(ivec pair, ivec next) { return second_of(pair) | next << 16; }
+INLINE ivec paired(ivec first, ivec second) { return first | second << 16; }
 #endif
 
-/* 2·LANES counts of 16 bits from each place, or the `some` that there are, as pairs in time order;
- * with `back`, time runs down memory. Zeros follow the end. */
-INLINE void read_pairs(const char *const *from, int some, int back, ivec *pairs)
+/* LANES words of 32 bits from each place, or the `bytes` that there are and zeros; with `back`, the
+ * last first. */
+INLINE void read_words(const char *const *from, int bytes, int back, ivec *words)
 {
     ivec x[LANES];
 #pragma GCC unroll 16
     for (int lane = 0; lane < LANES; lane++)
-        if (some == 2 * LANES)
+        if (bytes == 4 * LANES)
             x[lane] = (ivec)*(const loose_ints *)from[lane];
         else {
             x[lane] = (ivec){0};
-            memcpy((half_lane *)&x[lane] + (back ? 2 * LANES - some : 0), from[lane],
-                   2 * (size_t)some);
+            memcpy((char *)&x[lane] + (back ? 4 * LANES - bytes : 0), from[lane], (size_t)bytes);
         }
     transpose(x);
 #pragma GCC unroll 16
     for (int i = 0; i < LANES; i++)
-        pairs[i] = back ? across(x[LANES - 1 - i], x[LANES - 1 - i]) : x[i];
+        words[i] = x[back ? LANES - 1 - i : i];
 }
 
-#define EACH_COUNT(TYPE, WHAT)                                                                    \
-    for (int lane = 0; lane < LANES; lane++)                                                      \
-        for (int i = 0; i < some; i++) {                                                          \
-            TYPE count = *(const TYPE *)(row[lane] + (at + i) * light->bin_step);                 \
-            WHAT;                                                                                 \
-        }
+/* The words in which counts of each pixel lie next to one another, in time order: those from bin
+ * `at` on, as far as they come before `end`. `row` are the pixels' first bins. */
+INLINE void words_abreast(const Light *light, const char *const *row, int at, int end, ivec *words)
+{
+    int back = light->bin_step < 0, size = (int)(back ? -light->bin_step : light->bin_step);
+    int some = end - at < 4 * LANES / size ? end - at : 4 * LANES / size;
+    const char *from[LANES];
+    for (int lane = 0; lane < LANES; lane++)
+        from[lane] = row[lane] + (back ? at + some - 1 : at) * light->bin_step;
+    if (some <= 0)
+        memset(words, 0, LANES * sizeof *words);
+    else if (some * size < 4 * LANES)
+        read_words(from, some * size, back, words);
+    else if (back)
+        read_words(from, 4 * LANES, 1, words);
+    else
+        read_words(from, 4 * LANES, 0, words);
+}
 
-/* 2·LANES counts of each pixel from bin `at` on, or those up to `end` and zeros, as pairs of 16
- * bits; `row` are the pixels' first bins. Returns the bits that some pair has. */
+INLINE int is_dense(const Light *light)
+{
+    Py_ssize_t size = light->type == 'H' ? 2 : 4;
+    return light->bin_step == size || light->bin_step == -size;
+}
+
+#define EACH_COUNT(TYPE)                                                                          \
+    for (int lane = 0; lane < LANES; lane++)                                                      \
+        for (int i = 0; i < 2 * LANES && at + i < end; i++)                                       \
+            ((int32_t *)(counts + i))[lane]                                                       \
+                = (int32_t)*(const TYPE *)(row[lane] + (at + i) * light->bin_step);
+
+/* 2·LANES counts of each pixel from bin `at` on, or those before `end` and zeros. */
+INLINE void counts_abreast(const Light *light, const char *const *row, int at, int end, ivec *counts)
+{
+    if (is_dense(light) && light->type == 'H') {
+        ivec words[LANES];
+        words_abreast(light, row, at, end, words);
+        for (int i = 0; i < LANES; i++) {
+            ivec first = first_of(words[i]), second = second_of(words[i]);
+            counts[2 * i] = light->bin_step < 0 ? second : first;
+            counts[2 * i + 1] = light->bin_step < 0 ? first : second;
+        }
+    } else if (is_dense(light)) {
+        words_abreast(light, row, at, end, counts);
+        words_abreast(light, row, at + LANES, end, counts + LANES);
+    } else {
+        memset(counts, 0, 2 * LANES * sizeof *counts);
+        if (light->type == 'H')
+            EACH_COUNT(uint16_t)
+        else
+            EACH_COUNT(uint32_t)
+    }
+}
+
+/* The same as pairs of 16 bits. Returns the bits that some count has, two counts a word. */
 INLINE ivec pairs_abreast(const Light *light, const char *const *row, int at, int end, ivec *pairs)
 {
-    int some = end - at < 2 * LANES ? end - at : 2 * LANES, back = light->bin_step < 0;
     ivec seen = {0};
-    if (light->type != 'H' || (light->bin_step != 2 && light->bin_step != -2)) {
-        memset(pairs, 0, LANES * sizeof *pairs);
-        if (light->type == 'H')
-            EACH_COUNT(uint16_t, ((half_lane *)(pairs + i / 2))[2 * lane + i % 2] = count)
-        else
-            EACH_COUNT(uint32_t, ((half_lane *)(pairs + i / 2))[2 * lane + i % 2] = (uint16_t)count;
-                       seen[0] |= count > 0x7fff ? -1 : 0)
+    if (is_dense(light) && light->type == 'H') {
+        words_abreast(light, row, at, end, pairs);
+        for (int i = 0; i < LANES; i++) {
+            pairs[i] = light->bin_step < 0 ? across(pairs[i], pairs[i]) : pairs[i];
+            seen |= pairs[i];
+        }
     } else {
-        const char *from[LANES];
-        for (int lane = 0; lane < LANES; lane++)
-            from[lane] = row[lane] + (back ? at + some - 1 : at) * light->bin_step;
-        if (some < 2 * LANES)
-            read_pairs(from, some, back, pairs);
-        else if (back)
-            read_pairs(from, 2 * LANES, 1, pairs);
-        else
-            read_pairs(from, 2 * LANES, 0, pairs);
+        ivec counts[2 * LANES];
+        counts_abreast(light, row, at, end, counts);
+        for (int i = 0; i < LANES; i++) {
+            pairs[i] = paired(counts[2 * i], counts[2 * i + 1]);
+            seen |= ((counts[2 * i] | counts[2 * i + 1]) & ~0x7fff) != 0;
+        }
     }
-    for (int i = 0; i < LANES; i++)
-        seen |= pairs[i];
     return seen;
-}
-
-/* Asks for such counts of other pixels ahead of their use; `lowest` is where their memory begins. */
-INLINE void fetch_abreast(const Light *light, const char *const *lowest, int at)
-{
-    Py_ssize_t by = light->bin_step < 0 ? -light->bin_step : light->bin_step;
-    for (int lane = 0; lane < LANES; lane++)
-        __builtin_prefetch(lowest[lane] + at * by);
 }
 
 /* Sums up to each count of pairs, the count itself not included; returns the sum of all. */
@@ -137,17 +168,6 @@ INLINE ivec running_abreast(const ivec *pairs, ivec before, ivec *running)
         before += second_of(pairs[i]);
     }
     return before;
-}
-
-/* Counts as `pairs_abreast` reads them, but each of 32 bits. */
-INLINE void counts_abreast(const Light *light, const char *const *row, int at, int end, ivec *counts)
-{
-    int some = end - at < 2 * LANES ? end - at : 2 * LANES;
-    memset(counts, 0, 2 * LANES * sizeof *counts);
-    if (light->type == 'H')
-        EACH_COUNT(uint16_t, ((int32_t *)(counts + i))[lane] = count)
-    else
-        EACH_COUNT(uint32_t, ((int32_t *)(counts + i))[lane] = (int32_t)count)
 }
 
 INLINE int any(ivec mask)

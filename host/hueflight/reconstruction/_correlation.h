@@ -7,12 +7,14 @@ typedef struct {
     int bins, search, reach, most, circular, windows, bands, gaps, outside;
     double half_width;
     const int32_t *window, *gap; /* (band, start, stop) each; (start, stop) of bins in no window */
-    Light references;
+    const uint16_t *references;
     const double *pixel_delays;
 } Paper;
 
+static const Light REFERENCES = {.bin_step = 2, .type = 'H'}; /* how they lie */
+
 #define LAGS 12 /* correlated at once: their sums stay in registers */
-#define STRETCH 64 /* factors that stay in the cache for all lags */
+#define STRETCH 84 /* factors that stay in the cache for all lags */
 
 /* Of the pixels side by side. `running` are the counts of light before each bin and go on around
  * the circle, `shifted` those of the references moved later by the pixels' delays. `first` and
@@ -23,7 +25,7 @@ typedef struct {
     vec *correlation;
     double *mass, *moment;
     const char *light[LANES], *reference[LANES]; /* first bins */
-    const char *next_light[LANES], *next_reference[LANES]; /* lowest places of what is read next */
+    const char *next[2 * LANES]; /* lowest places of what is read next */
     int narrow;    /* factors are pairs of neighbouring bins of 15 bits, otherwise floats */
     int low, high; /* the lags known as yet */
 } Group;
@@ -32,17 +34,25 @@ typedef struct {
 INLINE void find_rows(const Paper *paper, Group *group, const Light *light, const int64_t *which,
                       size_t at, size_t end)
 {
-    const Light *references = &paper->references;
     Py_ssize_t lowest = light->bin_step < 0 ? (paper->bins - 1) * light->bin_step : 0;
+    Py_ssize_t stride = paper->bins + 2 * paper->most;
     for (size_t lane = 0; lane < LANES; lane++) {
         size_t here = at + lane, there = here + LANES;
         Py_ssize_t pixel = which[here < end ? here : end - 1];
         Py_ssize_t next = which[there < end ? there : end - 1];
+        const uint16_t *references = paper->references + paper->most;
         group->light[lane] = light->data + pixel * light->pixel_step;
-        group->next_light[lane] = light->data + next * light->pixel_step + lowest;
-        group->reference[lane] = references->data + pixel * references->pixel_step;
-        group->next_reference[lane] = references->data + next * references->pixel_step;
+        group->reference[lane] = (const char *)(references + pixel * stride);
+        group->next[2 * lane] = light->data + next * light->pixel_step + lowest;
+        group->next[2 * lane + 1] = (const char *)(references + next * stride);
     }
+}
+
+/* Asks for a part of what is read next, the `i`-th of as many as there are bins; asked for too many
+ * at a time, processors forget some. */
+INLINE void fetch_next(const Group *group, size_t i)
+{
+    __builtin_prefetch(group->next[i % (2 * LANES)] + i / (2 * LANES) * 64);
 }
 
 /* Makes running sums and factors that are pairs of bins. False if some counts are too large for
@@ -52,19 +62,17 @@ INLINE int make_pairs(const Paper *paper, Group *group, const Light *light)
     ivec pairs[LANES], before = {0}, last = {0}, seen = {0};
     int bins = paper->bins, at;
     for (at = 0; at < bins; at += 2 * LANES) {
-        fetch_abreast(light, group->next_light, at);
         seen |= pairs_abreast(light, group->light, at, bins, pairs);
         before = running_abreast(pairs, before, group->running + at);
-        for (int i = 0; i < LANES; i++)
-            group->first[at / 2 + i] = pairs[i];
+        memcpy(group->first + at / 2, pairs, sizeof pairs);
     }
     group->running[at] = before;
     for (at = 0; at < bins; at += 2 * LANES) {
-        fetch_abreast(&paper->references, group->next_reference, at);
-        seen |= pairs_abreast(&paper->references, group->reference, at, bins, pairs);
+        seen |= pairs_abreast(&REFERENCES, group->reference, at, bins, pairs);
+        ivec *second = group->second + at;
         for (int i = 0; i < LANES; i++) {
-            group->second[at + 2 * i - 1] = across(last, pairs[i]);
-            group->second[at + 2 * i] = last = pairs[i];
+            second[2 * i - 1] = across(last, pairs[i]);
+            second[2 * i] = last = pairs[i];
         }
     }
     group->second[at - 1] = across(last, (ivec){0});
@@ -86,7 +94,7 @@ INLINE void make_floats(const Paper *paper, Group *group, const Light *light)
     }
     group->running[at] = before;
     for (at = 0; at < bins; at += 2 * LANES) {
-        counts_abreast(&paper->references, group->reference, at, bins, counts);
+        counts_abreast(&REFERENCES, group->reference, at, bins, counts);
         for (int i = 0; i < 2 * LANES; i++)
             group->second[at + i] = (ivec)__builtin_convertvector(counts[i], vec);
     }

@@ -345,9 +345,7 @@ static int make_paper(const Call *call, Paper *paper)
         .half_width = *(const double *)held[HALF_WIDTH].buf,
         .windows = (int)(held[WINDOWS].len / 12), .window = held[WINDOWS].buf,
         .gaps = (int)(held[GAPS].len / 8), .gap = held[GAPS].buf,
-        .references = {(const char *)held[REFERENCE].buf + 2 * n[2], call->light.pixels,
-                       2 * (held[LIGHT].shape[1] + 2 * n[2]), 2, 'H'},
-        .pixel_delays = held[PIXEL_DELAYS].buf,
+        .references = held[REFERENCE].buf, .pixel_delays = held[PIXEL_DELAYS].buf,
     };
     int fits = call->light.type != 'f' && paper->search >= 0 && paper->reach >= 0
             && paper->reach <= paper->search && paper->most >= paper->search + paper->reach

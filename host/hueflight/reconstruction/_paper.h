@@ -96,7 +96,7 @@ INLINE void shift_references(const Paper *paper, Group *group, const int32_t *wh
         row[lane] = group->reference[lane] - 2 * (whole[lane] + paper->reach);
     ivec pairs[LANES], before = {0}, *to = group->shifted - paper->reach;
     for (int at = 0; at < count; at += 2 * LANES, to += 2 * LANES) {
-        pairs_abreast(&paper->references, row, at, count, pairs);
+        pairs_abreast(&REFERENCES, row, at, count, pairs);
         before = running_abreast(pairs, before, to);
     }
     *to = before;
@@ -118,11 +118,11 @@ INLINE Slope slope_at(const ivec *running, int reach)
 }
 
 /* Goes on to the next bin, by what enters and leaves; returns the bin's counts. */
-INLINE vec advance(Slope *s, int reach)
+INLINE vec advance(Slope *s, ptrdiff_t reach)
 {
     ivec next = s->running[1], left = s->running[1 - reach], right = s->running[reach + 2];
     ivec counts = next - s->here;
-    s->slope += reach * (left - s->left + right - s->right) + left - s->right;
+    s->slope += (int32_t)reach * (left - s->left + right - s->right) + left - s->right;
     s->here = next, s->left = left, s->right = right;
     s->running++;
     return __builtin_convertvector(counts, vec);
@@ -141,7 +141,8 @@ INLINE vec scatter(const Paper *paper, const Group *group)
     int reach = paper->reach;
     Slope light = slope_at(group->running, reach), reference = slope_at(group->shifted, reach);
     vec by_light = {0}, by_reference = {0};
-    for (int i = 0; i < paper->bins; i++) {
+    for (size_t i = 0, bins = (size_t)paper->bins; i < bins; i++) {
+        fetch_next(group, i);
         vec moves = squared(reference.slope), moved = squared(light.slope);
         by_light += moves * advance(&light, reach);
         by_reference += moved * advance(&reference, reach);
@@ -177,16 +178,17 @@ INLINE void gains(const Paper *paper, Group *group, vec pedestal, const int32_t 
 }
 
 /* A pixel's counts before a bin that may lie on another turn. */
-INLINE double before(const Paper *paper, const int32_t *running, int bin)
+INLINE int64_t before(const Paper *paper, const int32_t *running, int bin)
 {
-    int bins = paper->bins, turns = 0;
+    int bins = paper->bins;
     if (!paper->circular)
-        return running[(bin < 0 ? 0 : bin > bins ? bins : bin) * LANES];
+        bin = bin < 0 ? 0 : bin > bins ? bins : bin;
+    int64_t turns = 0;
     for (; bin < 0; bin += bins)
         turns--;
     for (; bin > bins; bin -= bins)
         turns++;
-    return (double)running[bin * LANES] + (double)turns * (double)running[bins * LANES];
+    return running[bin * LANES] + turns * running[bins * LANES];
 }
 
 /* A pixel's counts in the bands' windows, moved by `shift` bins. */
@@ -196,8 +198,8 @@ INLINE void sum_windows(const Paper *paper, const int32_t *running, int shift, d
         sums[k] = 0;
     for (int w = 0; w < paper->windows; w++) {
         const int32_t *window = paper->window + (size_t)w * 3;
-        sums[window[0]] += before(paper, running, window[2] + shift)
-                         - before(paper, running, window[1] + shift);
+        sums[window[0]] += (double)(before(paper, running, window[2] + shift)
+                                    - before(paper, running, window[1] + shift));
     }
 }
 

@@ -96,6 +96,16 @@ def test_every_type_and_direction_of_counts(instrument, calibration, draw, dtype
 
 
 @compiled
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32])
+def test_counts_that_lie_apart_and_large_ones(instrument, calibration, draw, dtype):
+    light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).astype(dtype)
+    apart = np.repeat(light, 2, axis=-1)[..., ::2]
+    assert apart.reshape(144, -1).strides[1] == 2 * apart.itemsize
+    assert_same(*both(apart, calibration))
+    assert_same(*both(light * dtype(60), calibration))  # beyond pairs of 15 bits
+
+
+@compiled
 def test_windows_that_wrap_or_end(calibration, instrument, draw):
     light = instrument.time_bins().in_time_order(draw(instrument, depth=0.9, photons=620))
     first, last = calibration.windows[0], calibration.windows[-1]

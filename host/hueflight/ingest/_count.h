@@ -28,8 +28,8 @@ INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const in
         const size_t codes = (size_t)1 << bits, stride = codes + SPARE;
         count->put(count, (Seen){count->tile, stride, 0, touched ? codes : 0}, first + at, pixels,
                    done);
-        if (touched)
-            memset(count->tile, 0, pixels * stride * sizeof *count->tile);
+        for (unsigned row = 0; touched && row < pixels; row++)
+            clear_row(count->rows[row], codes);
     }
     return 1;
 }

@@ -259,7 +259,8 @@ INLINE int count_narrow(Count *count, size_t first, unsigned pixels, uint8_t *do
     for (unsigned at = 0; fits && at < pixels; at += TILE)
         put(count, (Seen){count->narrow + at * NARROW, NARROW, from, to}, first + at,
             pixels - at < TILE ? pixels - at : TILE, done++);
-    memset(count->narrow, 0, pixels * NARROW * sizeof *count->narrow);
+    for (unsigned pixel = 0; pixel < pixels; pixel++)
+        memset(count->narrow + pixel * NARROW, 0, NARROW * sizeof *count->narrow);
     count->spread = !fits; /* then the next chunks' codes will hardly be closer */
     return fits;
 }

@@ -99,6 +99,12 @@ INLINE void count_sparse(uint16_t *const *rows, uint64_t map, const uint8_t *p, 
         rows[LOWEST_BIT(map)][field(codes, 0, bits, fast)]++;
 }
 
+/* A call, since compilers clear a constant length word by word. */
+__attribute__((noinline)) static void clear_row(uint16_t *row, size_t codes)
+{
+    memset(row, 0, codes * sizeof *row);
+}
+
 /* Add a tile to the table. */
 INLINE void put_tile(Count *count, Seen seen, size_t first, unsigned pixels, uint8_t *done)
 {

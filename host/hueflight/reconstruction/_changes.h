@@ -1,28 +1,63 @@
 /* Whether a pixel's counts still are what they were when it was fitted; see changes.py. */
 
-/* Greatest contrast between two histograms in units of its own deviation: of all counts, of each
- * band's zone, and along the derivative by the delay. `now` and `then` are counts at the bins of
- * the search; `work` has room for four vectors a block. */
-INLINE float contrast(const Plan *plan, const float *now, const float *then, float scale,
-                      float delay, const float *kept_amplitudes, float background, vec *work)
+/* Floats of a half of what is remembered of a pixel. */
+INLINE size_t memory_room(const Plan *plan) { return (size_t)(plan->rough.bins + 15) / 16 * 16; }
+
+/* Counts of one pixel at the bins of the search. */
+INLINE const float *wide_counts(const Plan *plan, const Light *light, size_t pixel,
+                                const Scratch *scratch)
 {
-    const Coarse *coarse = &plan->coarse;
+    Py_ssize_t by = light->bin_step;
+    if (light->type == 'H' && (by == 2 || by == -2) && plan->views == 1 && plan->factor == 1
+        && plan->coarse.factor == 4) {
+        const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
+        const char *low = by < 0 ? from + (plan->bins - 1) * by : from;
+        fours_of_16((const uint16_t *)low, plan->bins, by < 0, scratch->rough);
+    } else
+        prepare(plan, light, pixel, 0, 0, scratch);
+    return scratch->rough;
+}
+
+/* Asks for what is remembered of a pixel ahead of its use. */
+INLINE void fetch_memory(const float *memory, size_t room)
+{
+    for (size_t at = 0; at < room; at += 16)
+        __builtin_prefetch(memory + at);
+}
+
+/* What is remembered of a pixel: its counts, and how the fit's expected counts change with the delay,
+ * relative to themselves. */
+INLINE void remember(const Plan *plan, const float *counts, float delay, const float *fitted,
+                     float background, vec *work, float *memory)
+{
     const Level *level = &plan->rough;
-    float amplitudes[MOST_BANDS], gaps[MOST_BANDS], sizes[MOST_BANDS], most = 0;
-    for (int k = 0; k < plan->bands; k++) {
-        amplitudes[k] = kept_amplitudes[k] > 0 ? kept_amplitudes[k] : 0;
-        gaps[k] = sizes[k] = 0;
-    }
-    vec gap = {0}, size = {0}, steep_gap = {0}, steep_size = {0};
-    vec *apart = work + 2 * level->blocks, *spreads = apart + level->blocks, whole = {0};
+    float amplitudes[MOST_BANDS];
+    for (int k = 0; k < plan->bands; k++)
+        amplitudes[k] = fitted[k] > 0 ? fitted[k] : 0;
+    vec whole = {0};
     for (int v = 0; v < level->blocks; v++)
-        whole += load(then + v * LANES);
-    float least = floor_of(&plan->rules, sum(whole));
+        whole += load(counts + v * LANES);
+    float least = floor_of(&plan->rules, sum(whole)), *steep = memory + memory_room(plan);
     expect(level, phase_of(level, delay), amplitudes, background > least ? background : least,
            work, work + level->blocks);
-    for (int v = 0; v < level->blocks; v++) {
-        vec a = load(now + v * LANES), b = scale * load(then + v * LANES);
-        vec steep = work[level->blocks + v] / work[v];
+    memset(memory, 0, 2 * memory_room(plan) * sizeof *memory);
+    memcpy(memory, counts, (size_t)level->bins * sizeof *counts);
+    for (int v = 0; v < level->blocks; v++)
+        store(steep + v * LANES, work[level->blocks + v] / work[v]);
+}
+
+/* Greatest contrast between counts now and those remembered in units of its own deviation: of all
+ * counts, of each band's zone, and along the derivative by the delay. */
+INLINE float contrast(const Plan *plan, const float *now, const float *memory, float scale,
+                      float delay, vec *apart, vec *spreads)
+{
+    const Coarse *coarse = &plan->coarse;
+    const float *steepness = memory + memory_room(plan);
+    float gaps[MOST_BANDS] = {0}, sizes[MOST_BANDS] = {0}, most = 0;
+    vec gap = {0}, size = {0}, steep_gap = {0}, steep_size = {0};
+    for (int v = 0; v < plan->rough.blocks; v++) {
+        vec a = load(now + v * LANES), b = scale * load(memory + v * LANES);
+        vec steep = load(steepness + v * LANES);
         apart[v] = a - b;
         spreads[v] = a + scale * b;
         gap += apart[v];

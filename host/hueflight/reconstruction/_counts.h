@@ -91,6 +91,35 @@ INLINE int fours(const float *from, int count, float *to)
     return j;
 }
 
+/* The same of counts of 16 bits in memory, `backwards` the last first, and of the rest that makes no
+ * four: all of a pixel's bins at once. */
+INLINE void fours_of_16(const uint16_t *low, int bins, int backwards, float *to)
+{
+    typedef uint64_t groups __attribute__((vector_size(4 * LANES), aligned(2)));
+    typedef float half __attribute__((vector_size(2 * LANES), aligned(4)));
+    enum { HALF = LANES / 2 };
+    int full = bins / 4, rest = bins % 4, i = 0;
+    const uint16_t *from = backwards ? low + rest : low, *left = backwards ? low : low + 4 * full;
+    uint64_t even = 0x0000ffff0000ffff;
+    vec_64 turned = {0};
+    for (int lane = 0; lane < HALF; lane++)
+        turned[lane] = backwards ? HALF - 1 - lane : lane;
+    for (; i + HALF <= full; i += HALF) {
+        groups four = *(const groups *)(from + 4 * i);
+        four = (four & even) + (four >> 16 & even);
+        vec_64 sums = (vec_64)((four + (four >> 32)) & 0xffffffff);
+        float *place = backwards ? to + full - HALF - i : to + i;
+        *(half *)place = __builtin_convertvector(picked_64(sums, turned), half);
+    }
+    for (; i < full; i++)
+        to[backwards ? full - 1 - i : i] =
+            (float)(from[4 * i] + from[4 * i + 1] + from[4 * i + 2] + from[4 * i + 3]);
+    if (rest)
+        to[full] = 0;
+    for (i = 0; i < rest; i++)
+        to[full] += left[i];
+}
+
 /* Sums of `factor` bins each within every view; returns how many. `sizes` may be those of the
  * sensor or, with `before`, of bins that were summed already. */
 INLINE int group(const Plan *plan, int before, int factor, const float *from, float *to)

@@ -226,81 +226,83 @@ static PyObject *py_fit(PyObject *self, PyObject *args)
     return end(&call, begin(&call, args, BUFFERS, LIGHT, DELAY) && run_fit(&call));
 }
 
-static int run_wide_sums(Call *call)
+enum { KEPT_AMPLITUDES = DELAY, KEPT_BACKGROUND, MADE, REMEMBER_BUFFERS };
+
+static int run_remember(Call *call)
 {
+    const Py_buffer *held = call->held;
     Plan plan;
     int fits = planned(call, &plan);
-    size_t wide = (size_t)plan.rough.bins;
-    if (!fits || !holds(call, DELAY, 4 * wide))
-        return refuse("wide_sums: buffers do not fit one another");
+    size_t bands = (size_t)plan.bands, room = 2 * memory_room(&plan);
+    if (!fits || !holds(call, OFFSETS, 4) || !holds(call, KEPT_AMPLITUDES, 4 * bands)
+        || !holds(call, KEPT_BACKGROUND, 4) || !holds(call, MADE, 4 * room))
+        return refuse("remember: buffers do not fit one another");
     Scratch scratch;
     call->block = make_scratch(&plan, &scratch);
     if (!allocated(call))
         return 0;
-    float *results = call->held[DELAY].buf;
+    const float *delays = held[OFFSETS].buf, *amplitudes = held[KEPT_AMPLITUDES].buf;
+    const float *background = held[KEPT_BACKGROUND].buf;
+    float *memory = held[MADE].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
-        prepare(&plan, &call->light, (size_t)call->which[i], 0, 0, &scratch);
-        memcpy(results + i * wide, scratch.rough, 4 * wide);
+        const float *counts = wide_counts(&plan, &call->light, (size_t)call->which[i], &scratch);
+        remember(&plan, counts, delays[i], amplitudes + i * bands, background[i], scratch.work,
+                 memory + i * room);
     }
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* wide_sums(light, which, nothing, nothing, integers, reals, sizes, tables..., results): counts in
- * the bins of the search. */
-static PyObject *py_wide_sums(PyObject *self, PyObject *args)
+/* remember(light, which, delays, nothing, integers, reals, sizes, tables..., amplitudes, background,
+ * memory): see changes.py. */
+static PyObject *py_remember(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, DELAY + 1, LIGHT, DELAY) && run_wide_sums(&call));
+    return end(&call, begin(&call, args, REMEMBER_BUFFERS, LIGHT, MADE) && run_remember(&call));
 }
 
-enum { THEN = DELAY, KEPT_AMPLITUDES, KEPT_BACKGROUND, CONTRASTS, CHANGE_BUFFERS };
+enum { MEMORY = DELAY, CONTRASTS, CHANGE_BUFFERS };
 
 static int run_contrasts(Call *call)
 {
     const Py_buffer *held = call->held;
     Plan plan;
-    Light then;
-    if (!light_of(&held[THEN], &held[WHICH], &then))
-        return 0;
     int fits = planned(call, &plan);
-    size_t bands = (size_t)plan.bands;
-    if (!fits || held[THEN].shape[1] != plan.rough.bins || !holds(call, OFFSETS, 4)
-        || !holds(call, RATES, 4) || !holds(call, CONTRASTS, 4)
-        || !holds(call, KEPT_AMPLITUDES, 4 * bands) || !holds(call, KEPT_BACKGROUND, 4))
+    size_t room = 2 * memory_room(&plan);
+    if (!fits || !holds(call, OFFSETS, 4) || !holds(call, RATES, 4) || !holds(call, CONTRASTS, 4)
+        || (size_t)held[MEMORY].len < 4 * room * (size_t)call->light.pixels)
         return refuse("contrasts: buffers do not fit one another");
     Scratch scratch;
     call->block = make_scratch(&plan, &scratch);
     if (!allocated(call))
         return 0;
-    const float *delays = held[OFFSETS].buf, *scales = held[RATES].buf;
-    const float *amplitudes = held[KEPT_AMPLITUDES].buf, *background = held[KEPT_BACKGROUND].buf;
-    float *results = held[CONTRASTS].buf, *before = scratch.rough + scratch.rough_stride;
+    const float *delays = held[OFFSETS].buf, *scales = held[RATES].buf, *memory = held[MEMORY].buf;
+    float *results = held[CONTRASTS].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
         size_t pixel = (size_t)call->which[i];
         if (i + 2 < call->pixels) {
-            fetch(&call->light, (size_t)call->which[i + 2], plan.bins);
-            fetch(&then, (size_t)call->which[i + 2], plan.rough.bins);
+            size_t next = (size_t)call->which[i + 2];
+            fetch(&call->light, next, plan.bins);
+            fetch_memory(memory + next * room, room);
         }
-        prepare(&plan, &call->light, pixel, 0, 0, &scratch);
-        read_counts(&then, pixel, plan.rough.bins, before);
-        results[i] = contrast(&plan, scratch.rough, before, scales[i], delays[i],
-                              amplitudes + i * bands, background[i], scratch.work);
+        const float *now = wide_counts(&plan, &call->light, pixel, &scratch);
+        results[i] = contrast(&plan, now, memory + pixel * room, scales[i], delays[i],
+                              scratch.work, scratch.work + plan.rough.blocks);
     }
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* contrasts(now, which, delays, scales, integers, reals, sizes, tables..., then, amplitudes,
- * background, results): see changes.py. */
+/* contrasts(now, which, delays, scales, integers, reals, sizes, tables..., memory, results): see
+ * changes.py. */
 static PyObject *py_contrasts(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, CHANGE_BUFFERS, THEN, CONTRASTS) && run_contrasts(&call));
+    return end(&call, begin(&call, args, CHANGE_BUFFERS, LIGHT, CONTRASTS) && run_contrasts(&call));
 }
 
 enum { SPAN = 2, ALL_COUNTS, LIT_COUNTS, FULL, SUM_BUFFERS };
@@ -315,9 +317,12 @@ static int run_sums(Call *call)
     double *all = call->held[ALL_COUNTS].buf, *lit = call->held[LIT_COUNTS].buf;
     uint8_t *full = call->held[FULL].buf;
     Py_BEGIN_ALLOW_THREADS
-    for (size_t i = 0; i < call->pixels; i++)
+    for (size_t i = 0; i < call->pixels; i++) {
+        if (i + 4 < call->pixels)
+            fetch(&call->light, (size_t)call->which[i + 4], bins);
         sum_counts(&call->light, (size_t)call->which[i], bins, (int)span[0], (int)span[1], all + i,
                    lit + i, full + i);
+    }
     Py_END_ALLOW_THREADS
     return 1;
 }
@@ -418,7 +423,7 @@ static PyMethodDef methods[] = {
     {"sums", py_sums, METH_VARARGS, "Counts of pixels."},
     {"contrasts", py_contrasts, METH_VARARGS, "What has changed; see hueflight.reconstruction.changes."},
     {"correlations", py_correlations, METH_VARARGS, "The paper's method; see paper_compiled.py."},
-    {"wide_sums", py_wide_sums, METH_VARARGS, "Counts in the bins of the search."},
+    {"remember", py_remember, METH_VARARGS, "What changes are told by."},
     {"fit", py_fit, METH_VARARGS, "Joint fit of pixels; see hueflight.reconstruction.kernels."},
     {NULL, NULL, 0, NULL},
 };

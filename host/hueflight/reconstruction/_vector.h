@@ -17,6 +17,7 @@
 typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef float loose __attribute__((vector_size(4 * LANES), aligned(4))); /* wherever it lies */
 typedef int32_t ivec __attribute__((vector_size(4 * LANES)));
+typedef int64_t vec_64 __attribute__((vector_size(4 * LANES))); /* half as many lanes */
 
 INLINE vec load(const float *from) { return *(const loose *)from; }
 INLINE void store(float *to, vec x) { *(loose *)to = x; }
@@ -46,17 +47,21 @@ INLINE ivec lane_numbers(void)
 }
 
 /* Lanes in another order. */
-INLINE vec picked(vec x, ivec from)
-{
 #ifdef __clang__
-    vec y = {0};
-    for (int lane = 0; lane < LANES; lane++)
-        y[lane] = x[from[lane]];
-    return y;
+#define PICKED(NAME, VECTOR, ORDER)                            \
+    INLINE VECTOR NAME(VECTOR x, ORDER from)                   \
+    {                                                          \
+        VECTOR y = {0};                                        \
+        for (size_t i = 0; i < sizeof x / sizeof x[0]; i++)    \
+            y[i] = x[from[i]];                                 \
+        return y;                                              \
+    }
 #else
-    return __builtin_shuffle(x, from);
+#define PICKED(NAME, VECTOR, ORDER) \
+    INLINE VECTOR NAME(VECTOR x, ORDER from) { return __builtin_shuffle(x, from); }
 #endif
-}
+PICKED(picked, vec, ivec)
+PICKED(picked_64, vec_64, vec_64)
 
 INLINE vec swap(vec x, int distance) { return picked(x, lane_numbers() ^ distance); }
 

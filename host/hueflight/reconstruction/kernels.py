@@ -42,7 +42,7 @@ class _Kernel(Protocol):
 
     def contrasts(self, *buffers: Any) -> None: ...
 
-    def wide_sums(self, *buffers: Any) -> None: ...
+    def remember(self, *buffers: Any) -> None: ...
 
     def sums(self, *buffers: Any) -> None: ...
 
@@ -165,42 +165,52 @@ def survey(
     return sums, inside, full.astype(bool)
 
 
-def wide_sums(light: NDArray[Any], pixels: NDArray[np.int64], plan: Plan) -> NDArray[np.float32]:
-    """Counts of pixels in the wide bins of the search; see `changes.wide_sums`."""
+def remembered(
+    light: NDArray[Any],
+    pixels: NDArray[np.int64],
+    found: Fit,
+    offsets_ns: NDArray[np.float64],
+    plan: Plan,
+) -> NDArray[np.float32]:
+    """What changes of pixels are told by, `found` being their fit; see `changes.remembered`."""
     if chosen_backend(plan.bands) == "numpy" or light.dtype not in COUNT_TYPES:
-        return changes.wide_sums(light[pixels], plan).astype(np.float32)
+        return changes.remembered(light[pixels], found, offsets_ns, plan)
     kernel, packed = _packed_for(plan)
-    result = np.empty((len(pixels), plan.coarse.starts.size), np.float32)
-    nothing = np.empty(0, np.float32)
-    buffers = _plan_buffers(plan, packed, DEFAULT)
-    which = np.ascontiguousarray(pixels, np.int64)
-    kernel.wide_sums(light, which, nothing, nothing, *buffers, result)
-    return result
+    room = -(-plan.coarse.starts.size // changes.ROOM) * changes.ROOM
+    memory = np.empty((len(pixels), 2, room), np.float32)
+    kernel.remember(
+        light,
+        np.ascontiguousarray(pixels, np.int64),
+        (found.delay_ns + offsets_ns).astype(np.float32),
+        np.empty(0, np.float32),
+        *_plan_buffers(plan, packed, DEFAULT),
+        np.ascontiguousarray(found.amplitudes, np.float32),
+        found.background.astype(np.float32),
+        memory,
+    )
+    return memory
 
 
 def contrasts(
     now: NDArray[Any],
-    then: NDArray[Any],
+    memory: NDArray[np.float32],
     pixels: NDArray[np.int64],
     scales: NDArray[np.float64],
-    found: Fit,
-    offsets_ns: NDArray[np.float64],
+    delays_ns: NDArray[np.float64],
     plan: Plan,
 ) -> NDArray[np.float64]:
-    """How much each pixel has changed; see `changes.contrasts`."""
+    """How much some pixels have changed, `memory` being of all; see `changes.contrasts`."""
     if chosen_backend(plan.bands) == "numpy" or now.dtype not in COUNT_TYPES:
-        return changes.contrasts(now[pixels], then[pixels], scales, found, offsets_ns, plan)
+        return changes.contrasts(now[pixels], memory[pixels], scales, delays_ns, plan)
     kernel, packed = _packed_for(plan)
     result = np.empty(len(pixels), np.float32)
     kernel.contrasts(
         now,
         np.ascontiguousarray(pixels, np.int64),
-        (found.delay_ns + offsets_ns).astype(np.float32),
+        delays_ns.astype(np.float32),
         scales.astype(np.float32),
         *_plan_buffers(plan, packed, DEFAULT),
-        then,
-        np.ascontiguousarray(found.amplitudes, np.float32),
-        found.background.astype(np.float32),
+        memory,
         result,
     )
     return result.astype(np.float64)

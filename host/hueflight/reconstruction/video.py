@@ -7,7 +7,7 @@ drifts add up until they are seen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -18,23 +18,22 @@ from numpy.typing import ArrayLike, NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.reconstruction.door import check_in
-from hueflight.reconstruction.fit import Fit, no_fit
-from hueflight.reconstruction.image import as_image
+from hueflight.reconstruction.image import Estimates, as_image
 from hueflight.reconstruction.joint import fit_chosen, in_metres, plan_for, search_range_ns
-from hueflight.reconstruction.kernels import contrasts, wide_sums
+from hueflight.reconstruction.kernels import contrasts, remembered
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
 
 @dataclass
 class _Kept:
-    """What was last fitted of every pixel; of its counts, what changes are told by."""
+    """Of every pixel what was found when it was last fitted, and what changes are told by."""
 
-    wide: NDArray[np.float32]
-    photons: NDArray[np.float64]
+    estimates: Estimates
     frames: NDArray[np.float64] | None
-    fit: Fit
     fitted: NDArray[np.bool_]
+    delays_ns: NDArray[np.float64]
+    memory: NDArray[np.float32]
 
 
 class Video:
@@ -91,80 +90,85 @@ class Video:
         """
         calibration = self.calibration
         seen = check_in(histogram, calibration, frames)
-        rows, cols, bins = seen.light.shape
-        flat = seen.light.reshape(rows * cols, bins)
-        changed = self._update(flat, seen.photons, seen.frames)
-        kept = self._kept
-        assert kept is not None  # the update has made it
-        estimates = in_metres(
-            kept.fit if kept.fitted.all() else kept.fit.take(kept.fitted.ravel()),
-            kept.fitted,
-            kept.photons,
-            kept.frames,
-            calibration,
-            search_ns=self._search_ns,
-            **self._corrections,
-        )
-        estimates.quality[calibration.usable & ~changed] |= int(Quality.SKIPPED)
-        estimates.quality[seen.full] |= int(Quality.SATURATED)
-        return as_image(estimates, calibration, method="joint")
+        flat = seen.light.reshape(-1, seen.light.shape[-1])
+        changed = calibration.usable & self._differs(flat, seen.photons, seen.frames)
+        kept = self._kept = self._fitted(flat, seen.photons, seen.frames, changed)
+        quality = kept.estimates.quality.copy()
+        quality[calibration.usable & ~changed] |= int(Quality.SKIPPED)
+        quality[seen.full] |= int(Quality.SATURATED)
+        return as_image(replace(kept.estimates, quality=quality), calibration, method="joint")
 
-    def _update(
+    def _fitted(
         self,
         flat: NDArray[Any],
         photons: NDArray[np.float64],
         exposures: NDArray[np.float64] | None,
-    ) -> NDArray[np.bool_]:
-        """Fit what has changed; returns those pixels (row, col)."""
-        usable = self.calibration.usable
-        kept = self._kept
-        if kept is None:
-            changed = usable.copy()
-            kept = self._kept = _Kept(
-                wide=wide_sums(flat, np.arange(len(flat)), self._plan),
-                photons=photons,
-                frames=exposures,
-                fit=no_fit(flat.shape[0], self._plan.bands),
-                fitted=np.zeros(photons.shape, bool),
-            )
-        else:
-            changed = usable & self._differs(flat, photons, exposures, kept)
-            pixels = np.flatnonzero(changed)
-            kept.wide[pixels] = wide_sums(flat, pixels, self._plan)
-            kept.photons = np.where(changed, photons, kept.photons)
-            if exposures is not None and kept.frames is not None:
-                kept.frames = np.where(changed, exposures, kept.frames)
+        changed: NDArray[np.bool_],
+    ) -> _Kept:
+        """What is kept, pixels (row, col) that have changed fitted again."""
+        calibration, plan, kept = self.calibration, self._plan, self._kept
         chosen = changed & (photons > 0)
         found = fit_chosen(
             flat,
             chosen,
             photons,
             exposures if self._corrections["pileup_correction"] else None,
-            self.calibration,
-            self._plan,
+            calibration,
+            plan,
             skips=self._skips,
             threads=self._threads,
         )
-        kept.fitted[changed] = photons[changed] > 0
-        kept.fit.put(chosen.ravel(), found)
-        return changed
+        estimates = in_metres(
+            found,
+            chosen,
+            photons,
+            exposures,
+            calibration,
+            search_ns=self._search_ns,
+            **self._corrections,
+        )
+        if self._change_sigma == 0:
+            return _Kept(estimates, None, chosen, found.delay_ns, np.empty(0, np.float32))
+        pixels, offsets_ns = np.flatnonzero(chosen), calibration.pixel_delay_ns[chosen]
+        memory = remembered(flat, pixels, found, offsets_ns, plan)
+        if kept is None:
+            frames = None if exposures is None else np.array(exposures)
+            everywhere = np.zeros((photons.size, *memory.shape[1:]), np.float32)
+            kept = _Kept(estimates, frames, chosen, np.zeros(photons.size), everywhere)
+        else:
+            _take_over(kept.estimates, estimates, changed)
+            kept.fitted[changed] = chosen[changed]
+            if exposures is not None and kept.frames is not None:
+                kept.frames[changed] = exposures[changed]
+        kept.delays_ns[pixels] = found.delay_ns + offsets_ns
+        kept.memory[pixels] = memory
+        return kept
 
     def _differs(
         self,
         flat: NDArray[Any],
         photons: NDArray[np.float64],
         exposures: NDArray[np.float64] | None,
-        kept: _Kept,
     ) -> NDArray[np.bool_]:
-        if self._change_sigma == 0:
-            return np.ones_like(kept.fitted)
+        """Pixels (row, col) whose counts are no longer those of their fit."""
+        kept = self._kept
+        if kept is None or self._change_sigma == 0:
+            return np.ones(photons.shape, bool)
         differs = ~kept.fitted & (photons > 0)
         pixels = np.flatnonzero(kept.fitted)
         scales = np.ones(pixels.size)
         if exposures is not None and kept.frames is not None:
             scales = exposures[kept.fitted] / kept.frames[kept.fitted]
-        found = kept.fit if kept.fitted.all() else kept.fit.take(pixels)
-        offsets_ns = self.calibration.pixel_delay_ns[kept.fitted]
-        gaps = contrasts(flat, kept.wide, pixels, scales, found, offsets_ns, self._plan)
+        delays_ns = kept.delays_ns[pixels]
+        gaps = contrasts(flat, kept.memory, pixels, scales, delays_ns, self._plan)
         differs[kept.fitted] = gaps > self._change_sigma
         return differs
+
+
+def _take_over(kept: Estimates, found: Estimates, changed: NDArray[np.bool_]) -> None:
+    """Estimates of pixels (row, col) that have changed, in place of those that were kept."""
+    rows, cols = np.nonzero(changed)  # a mask would be searched once for every band
+    for name in Estimates.__dataclass_fields__:
+        old, new = getattr(kept, name), getattr(found, name)
+        if old is not None and new is not None:
+            old[..., rows, cols] = new[..., rows, cols]

@@ -1,5 +1,7 @@
 """Video: what has not changed keeps its values and is flagged; what has is seen."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
@@ -90,20 +92,35 @@ def test_switched_off(setting):
 
 
 @pytest.mark.usefixtures("compiled_fit")
-def test_compiled_contrasts_are_those_of_the_definition(setting):
+@pytest.mark.parametrize("name", kernels.BUILDS)
+def test_compiled_contrasts_are_those_of_the_definition(setting, monkeypatch, name):
+    able = import_module("hueflight.reconstruction._kernels").processor()
+    if kernels.BUILDS.index(name) < 2 - able:
+        pytest.skip(f"this processor can't run {name}")
+    build = pytest.importorskip(f"hueflight.reconstruction.{name}")
+    monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
     calibration, shot = setting
-    plan = plan_for(calibration, (-15.0, 15.0))
+    plan = plan_for(calibration, (-15.0, 15.1))  # of its own: its tables are for one width
+    kernels._packed.pop(plan, None)
     now = calibration.bins.in_time_order(shot(2, depth=0.95)).reshape(576, -1)
     then = calibration.bins.in_time_order(shot(1)).reshape(576, -1)
     offsets = calibration.pixel_delay_ns.ravel()
     pixels = np.arange(0, 576, 5)
     found = kernels.fit_pixels(then, offsets, plan).take(pixels)
     scales = np.linspace(0.5, 2, pixels.size)
-    wide = kernels.wide_sums(then, np.arange(576), plan)
-    np.testing.assert_array_equal(wide, changes.wide_sums(then, plan))
-    np.testing.assert_array_equal(wide.sum(axis=-1), then.sum(axis=-1))
-    fast = kernels.contrasts(now, wide, pixels, scales, found, offsets[pixels], plan)
-    slow = changes.contrasts(now[pixels], wide[pixels], scales, found, offsets[pixels], plan)
+    memory = np.zeros((576, 2, 128), np.float32)
+    memory[pixels] = kernels.remembered(then, pixels, found, offsets[pixels], plan)
+    expected = changes.remembered(then[pixels], found, offsets[pixels], plan)
+    np.testing.assert_array_equal(memory[pixels, 0], expected[:, 0])
+    np.testing.assert_array_equal(memory[pixels, 0].sum(axis=-1), then[pixels].sum(axis=-1))
+    np.testing.assert_allclose(memory[pixels, 1], expected[:, 1], rtol=1e-3, atol=1e-4)
+    for counts in (np.ascontiguousarray(then), then.astype(np.uint32)):  # however they lie
+        again = kernels.remembered(counts, pixels, found, offsets[pixels], plan)
+        np.testing.assert_array_equal(again, memory[pixels])
+    delays_ns = found.delay_ns + offsets[pixels]
+    fast = kernels.contrasts(now, memory, pixels, scales, delays_ns, plan)
+    slow = changes.contrasts(now[pixels], memory[pixels], scales, delays_ns, plan)
+    kernels._packed.pop(plan)
     np.testing.assert_allclose(fast, slow, rtol=2e-4, atol=1e-3)
 
 

@@ -252,10 +252,15 @@ class Camera(wiring.Component):
         dropped = self._counters.counters.frames_dropped
         info = formatter.info
         missed = Signal()  # a trigger, since the frame before
+        begun, just_missed = Signal(), Signal()  # a clock ago: `begins` has come a long way
+        m.d.sync += [
+            begun.eq(formatter.begins | exposure.began),
+            just_missed.eq(exposure.missed),
+        ]
         with m.If(exposure.missed):
             m.d.sync += missed.eq(1)
-        with m.Elif(formatter.begins | exposure.began):
-            m.d.sync += missed.eq(0)
+        with m.Elif(begun):
+            m.d.sync += missed.eq(just_missed)
         m.d.sync += guard.admit.eq(
             (formatter.room >= self.config.admit_words)
             & (formatter.banks_free >= self.config.form.burst_banks)

@@ -68,12 +68,13 @@ class CaptureCounters(wiring.Component):
             saturated = saturated | counter.saturated
         m.d.comb += self.saturated.eq(saturated)
 
-        # 64 bits count for millennia
-        frames_sent = Signal(64)
+        # 64 bits count for millennia; what is sent is registered before their carries
+        frames_sent, sent = Signal(64), Signal()
         peak, waiting = Signal(32), Signal(32)
         added = Signal(32)
         m.d.sync += [
-            frames_sent.eq(frames_sent + self.sent),
+            sent.eq(self.sent),
+            frames_sent.eq(frames_sent + sent),
             added.eq(Mux(self.sent, self.hits, 0)),
             self.hits_sent.eq(self.hits_sent + added),
             self.periods.eq(self.periods + self.triggered),

@@ -53,7 +53,12 @@ class TrainHarness(FreeHarness):
                 m.d.comb += Assert(age >= length)
         # what the induction needs: the train knows what is left of it
         with m.If(train.busy & ~train.served):
-            m.d.comb += [Assert(fired), Assert(age + train.left == length)]
+            left = Mux(train.loads, train.length + 1, train.left)
+            m.d.comb += [
+                Assert(fired),
+                Assert(train.loads == (age == 1)),
+                Assert(age + left == length),
+            ]
         with m.If(fired):
             m.d.comb += Assert(length >= MIN_SPACING)
             with m.If(~train.busy):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In, Out
 
@@ -65,17 +65,17 @@ class PulseSlot(wiring.Component):
             bank1.eq(self.train.bank),
         ]
 
-        # 2: pairs of bits that are equal; the lane where the pulse begins
+        # 2: pairs of bits that are equal, the first while the train lives; the lane where the pulse
+        # begins
         coarse = delay[log:]
         pairs = [slice(low, low + 2) for low in range(0, len(coarse), 2)]
         equal2 = Signal(len(pairs))
         begin2 = Signal(log + 1)
-        open2 = Signal()
         bank2 = Signal()
+        equal = [time1[pair] == coarse[pair] for pair in pairs]
         m.d.pulse += [
-            *(equal2[i].eq(time1[pair] == coarse[pair]) for i, pair in enumerate(pairs)),
+            equal2.eq(Cat(equal[0] & open1, *equal[1:])),
             begin2.eq(delay[:log] + phase1),
-            open2.eq(open1),
             bank2.eq(bank1),
         ]
 
@@ -85,7 +85,7 @@ class PulseSlot(wiring.Component):
         begin3 = Signal(log)
         bank3 = Signal()
         hit = Signal()
-        m.d.comb += hit.eq(equal2.all() & open2)
+        m.d.comb += hit.eq(equal2.all())
         m.d.pulse += [
             now3.eq(hit & ~begin2[log]),
             next3.eq(hit & begin2[log]),

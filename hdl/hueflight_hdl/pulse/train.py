@@ -42,7 +42,9 @@ class Train(wiring.Component):
 
     def __init__(self, config: PulseConfig) -> None:
         self.config = config
-        self.left = Signal(PERIOD_BITS - config.lane_bits)  # clocks until the train's last two
+        self.left = Signal(PERIOD_BITS - config.lane_bits)  # clocks until the train's last two,
+        self.loads = Signal()  # to be taken in this clock
+        self.length = Signal.like(self.left)  # from here
         super().__init__(
             {
                 "edge": In(1),
@@ -84,15 +86,18 @@ class Train(wiring.Component):
         ]
 
         # how long it is busy; `periods` is at rest, and so are the lengths in clocks. The count
-        # begins one clock after the edge, so that little hangs on `accept`; and its end is seen two
-        # steps ahead, so that little stands between `busy` and itself.
-        lengths = [self._clocks_less_one(m, self.periods[bank]) for bank in range(2)]
+        # begins two clocks after the edge, from a register, so that little hangs on `accept` and
+        # on the bank; and its end is seen two steps ahead, so that little stands between `busy` and
+        # itself.
+        lengths = [self._clocks_less_two(m, self.periods[bank]) for bank in range(2)]
         count = self.left
         near, ending = Signal(), Signal()
         spacing = Signal(range(MIN_SPACING))
         m.d.pulse += [
-            count.eq(count - 1),
-            near.eq((count == 4) & ~self.served),
+            self.length.eq(Mux(self.bank, lengths[1], lengths[0])),
+            self.loads.eq(self.served),
+            count.eq(Mux(self.loads, self.length, count - 1)),
+            near.eq((count == 4) & ~self.served & ~self.loads),
             ending.eq(near & ~self.served),
         ]
         with m.If(ending & ~self.served):
@@ -104,10 +109,7 @@ class Train(wiring.Component):
         with m.If(accept):
             m.d.pulse += [busy.eq(1), spaced.eq(0)]
         with m.If(self.served):
-            m.d.pulse += [
-                count.eq(Mux(self.bank, lengths[1], lengths[0])),
-                spacing.eq(MIN_SPACING - 2),
-            ]
+            m.d.pulse += spacing.eq(MIN_SPACING - 2)
 
         # 2: the broadcast
         time = self.train.time
@@ -126,8 +128,8 @@ class Train(wiring.Component):
             m.d.pulse += self.train.live.eq(0)
         return m
 
-    def _clocks_less_one(self, m: Module, period: Signal) -> Signal:
+    def _clocks_less_two(self, m: Module, period: Signal) -> Signal:
         whole = period[self.config.lane_bits :]
         clocks = Signal.like(whole)
-        m.d.pulse += clocks.eq(Mux(whole < MIN_SPACING, MIN_SPACING, whole) - 1)
+        m.d.pulse += clocks.eq(Mux(whole < MIN_SPACING, MIN_SPACING, whole) - 2)
         return clocks

@@ -219,6 +219,7 @@ class Acquisition:
         self._before += run.close_books()
         self._photons_before += run.photons
         self._run = run.successor()
+        self._label = self._run.label
         self._start_camera(self._run)
 
     def _settle_orphan(self, rig: Rig) -> None:
@@ -228,7 +229,10 @@ class Acquisition:
         run = self._run
         lost: int | None = None
         if run is not None and rig.camera.board.read("capture") == run.label:
-            lost = run.settle_from_registers(rig.camera, away=True)
+            # a link that goes away amid a start may leave the run's label beside the counters of
+            # the run before, which are booked already
+            begun = run.started or rig.camera.running()
+            lost = run.settle_from_registers(rig.camera, away=True) if begun else 0
         self._end_gap(run, lost)
 
     def _end_gap(self, run: Run | None, lost: int | None) -> None:
@@ -304,6 +308,7 @@ class Acquisition:
         run.began_s = time.monotonic()
         run.stalled_before_s = camera.statistics.stalled_s
         camera.start(capture=run.label, frame_limit=run.frames_left())
+        run.started = True
 
     def _take(self, run: Run, piece: bytes, now: float) -> None:
         self._last_data_s = now

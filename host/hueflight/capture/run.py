@@ -78,6 +78,7 @@ class Run:
     Attributes
     ----------
     label : the run's `capture` number in every packet.
+    started : the camera has answered that the run is on.
     ended : the camera has said that the run is over.
     began_s, last_data_s : monotonic clock.
     gaps : times in which the camera was away.
@@ -104,7 +105,7 @@ class Run:
             threads=settings.threads,
         )
         self.ledger = RunLedger()
-        self.ended = False
+        self.started = self.ended = False
         self.exposed_at_end: int | None = None
         self.began_s = self.first_began_s = time.monotonic()
         self.last_data_s = 0.0

@@ -16,6 +16,8 @@ import hueflight as hf
 from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan
 from hueflight.capture.snapshot import LiveBlock
+from hueflight.devices.camera import Camera
+from hueflight.devices.errors import DeviceGoneError
 from hueflight.recording import open_recording
 from hueflight.recording.segment import Segment
 
@@ -119,6 +121,33 @@ def test_unplugged_and_back(begin: Begin, rig: FaultyRig, late_reads: int) -> No
     assert totals.losses.usb > 0
     assert [gap.frames_lost for gap in gaps] == [totals.losses.usb]
     assert gaps[0].ended > gaps[0].started
+
+
+def test_unplugged_amid_a_start(
+    begin: Begin, rig: FaultyRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The camera has the next run's label, but still the counters of the run before."""
+    acquisition = begin(live=LIVE)
+    until(lambda: acquisition.snapshot.totals.delivered > 100, "frames come")
+    whole, cut = Camera.start, iter([True])
+
+    def start(self: Camera, *, capture: int = 0, frame_limit: int = 0) -> None:
+        if next(cut, False):
+            self.board.write("capture", value=capture)
+            raise DeviceGoneError("test rig: unplugged amid a start")
+        whole(self, capture=capture, frame_limit=frame_limit)
+
+    monkeypatch.setattr(Camera, "start", start)
+    rig.faults.plugged = False
+    until(lambda: acquisition.snapshot.state == "disconnected", "the loss is noticed")
+    rig.faults.plugged = True
+    until(lambda: acquisition.snapshot.connections == 3, "it is opened a third time")
+    until(lambda: acquisition.snapshot.state == "running", "it is back")
+    acquisition.set_live(None)
+    until(lambda: acquisition.snapshot.state == "idle", "it has ended")
+    totals, gaps = acquisition.snapshot.totals, acquisition.snapshot.gaps
+    assert totals.exposed == totals.delivered + totals.losses.undelivered == rig.model.sent.frames
+    assert [gap.frames_lost for gap in gaps] == [totals.losses.usb, 0]
 
 
 def test_power_loss_leaves_an_unknown(begin: Begin, rig: FaultyRig) -> None:

@@ -20,6 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -99,19 +100,21 @@ def serve(arguments: argparse.Namespace) -> None:
     }
     instrument = played(arguments.instrument, arguments.rate)
     model = CameraModel(instrument.sensor, banks["scene"])
-    emulated = told = 0.0
+    emulated = 0.0
 
     class TimedStream(ModelStream):
         def read(self, timeout_s: float, /) -> bytes:
-            nonlocal emulated, told
+            nonlocal emulated
             before = time.thread_time()
             data = super().read(timeout_s)
             emulated += time.thread_time() - before
-            if time.monotonic() - told > TOLD_S:
-                told = time.monotonic()
-                (folder / "emulated.new").write_text(str(emulated))
-                (folder / "emulated.new").replace(folder / "emulated")
             return data
+
+    def tell() -> None:
+        while True:
+            (folder / "emulated.new").write_text(str(emulated))
+            (folder / "emulated.new").replace(folder / "emulated")
+            time.sleep(TOLD_S)
 
     class Targets:
         name = "benchmark"
@@ -131,6 +134,8 @@ def serve(arguments: argparse.Namespace) -> None:
         )
         return Rig(camera, Targets())
 
+    # not in the acquisition's thread: where a disk is busy, even renaming a file waits for it
+    threading.Thread(target=tell, daemon=True).start()
     configure(as_json=True)
     config = DaemonConfig(
         data=str(folder / "data"), pictures_hz=arguments.pictures,

@@ -6,14 +6,12 @@ the rig goes away, it is looked for until it is back; the gap is marked and the 
 
 from __future__ import annotations
 
-import os
 import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -23,6 +21,7 @@ from hueflight.capture.plan import CaptureError, Gap, RunPlan, RunResult
 from hueflight.capture.recorder import Recorder
 from hueflight.capture.run import Run, RunSettings
 from hueflight.capture.snapshot import LiveBlock, Snapshot
+from hueflight.capture.urgency import Urgency, adopt
 from hueflight.devices.errors import DeviceError, DeviceGoneError, DeviceTimeoutError
 from hueflight.devices.rig import Connect, Rig
 from hueflight.devices.streams import StreamStatistics
@@ -39,7 +38,6 @@ SILENCE_S = 2.0  #: without a byte in a run, ask the camera whether it is still 
 KEEP_ALIVE_S = 0.3
 DRAIN_S = 2.0  #: longest time to read what an earlier run has left in the stream
 GAPS_KEPT = 100
-NICENESS = -10  #: of acquisition and recording, where the system allows it
 FORGOTTEN = "the camera has forgotten its run: it lost power or was reset"
 
 
@@ -127,9 +125,7 @@ class Acquisition:
     # -- the acquisition thread ---------------------------------------------------------------
 
     def _work(self) -> None:
-        with suppress(OSError):  # without the right to it, priorities stay equal
-            # the recorder's thread, begun from this one, inherits it
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        self._on_event("acquisition", {"scheduled": adopt(Urgency.ACQUISITION)})
         while not self._closing:
             try:
                 self._step()

@@ -13,6 +13,7 @@ from collections import deque
 from pathlib import Path
 
 from hueflight.capture.plan import CaptureError, RunPlan
+from hueflight.capture.urgency import Urgency, adopt
 from hueflight.errors import RecordingError
 from hueflight.instrument import Instrument
 from hueflight.recording import RecordingWriter
@@ -123,6 +124,7 @@ class Recorder:
     # -- the recorder's thread ----------------------------------------------------------------
 
     def _run(self) -> None:
+        adopt(Urgency.RECORDING)
         while True:
             with self._changed:
                 if not self._queue and not self._closing:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
+from hueflight.capture.urgency import Urgency, adopt
 from hueflight.reconstruction.reconstruct import reconstruct
 from hueflight.reconstruction.stopping import StopRule, frames_needed, seen_enough, share_known
 
@@ -52,7 +53,9 @@ class Watch:
         self._frames = 0
         self._next_look = 1.0
         self._looking: Future[tuple[float, bool, float]] | None = None
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="until")
+        self._thread = ThreadPoolExecutor(
+            1, thread_name_prefix="until", initializer=adopt, initargs=(Urgency.RECONSTRUCTION,)
+        )
 
     @property
     def looking(self) -> bool:

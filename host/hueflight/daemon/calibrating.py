@@ -18,6 +18,7 @@ from pathlib import Path
 from hueflight.calibration import Calibration
 from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan, RunResult
+from hueflight.capture.urgency import Urgency
 from hueflight.daemon.files import timestamp_name
 from hueflight.devices.lights import CaptureKind
 from hueflight.errors import HueflightError
@@ -25,7 +26,6 @@ from hueflight.instrument import Instrument
 
 CALIBRATION_NAME = "calibration.zarr"
 _COMMAND = "from hueflight.cli import main; main()"
-_NICENESS = 10
 _WORK_TIMEOUT_S = 1800
 
 
@@ -159,7 +159,7 @@ class Calibrating:
             text=True,
             env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
-        os.setpriority(os.PRIO_PROCESS, self._process.pid, _NICENESS)
+        os.setpriority(os.PRIO_PROCESS, self._process.pid, Urgency.CALIBRATION.niceness)
         output, errors = self._process.communicate(timeout=_WORK_TIMEOUT_S)
         if self._process.returncode:
             raise CaptureError(errors.strip() or f"calibrate ended with {self._process.returncode}")

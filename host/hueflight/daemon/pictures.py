@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import deque
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.capture.snapshot import LiveBlock
+from hueflight.capture.urgency import Urgency, adopt
 from hueflight.errors import HueflightError
 from hueflight.ingest.table import Counts
 from hueflight.instrument import Instrument
@@ -27,7 +27,6 @@ REFRESH_S = 10.0  #: then every pixel is fitted again: chance may have misled a 
 GROWTH = 1.1  #: by so much more frames than behind the kept fits, all pixels are fitted again
 UNSEEN_S = 1.0  #: from picture to picture while nobody looks
 _WAIT_S = 0.5
-_NICENESS = 5
 
 
 def live_method() -> str:
@@ -139,7 +138,7 @@ class Pictures:
 
     def _work(self) -> None:
         # acquisition comes first; threads that help with a picture inherit this
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+        adopt(Urgency.RECONSTRUCTION)
         while True:
             with self._changed:
                 if not self._waiting and not self._closing:

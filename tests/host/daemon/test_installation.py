@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from hueflight.capture.urgency import Urgency
 from hueflight.devices.usb_identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
 
 HOST = Path(__file__).resolve().parents[3] / "host"
@@ -64,6 +65,12 @@ def test_udev_reads_the_rules() -> None:
         [udevadm, "verify", "--no-style", str(RULES)], capture_output=True, text=True, timeout=60
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_unit_lets_acquisition_come_first() -> None:
+    limits = dict(re.findall(r"^(Limit\w+)=(\S+)$", UNIT.read_text(), re.M))
+    assert int(limits["LimitRTPRIO"]) == max(urgency.real_time for urgency in Urgency)
+    assert int(limits["LimitNICE"]) == min(urgency.niceness for urgency in Urgency)
 
 
 def test_systemd_reads_the_unit(tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ class Segment:
     Attributes
     ----------
     size : bytes of whole records written.
+    settled : bytes of those that outlive a power cut.
     first, frames : frames of the recording before the segment, and in it.
     """
 
@@ -75,10 +76,11 @@ class Segment:
         first: int = 0,
     ) -> None:
         self.path = path
-        self.size = 0
+        self.size = self.settled = 0
         self.first = first
         self.frames = 0
         self.started = time.monotonic()
+        self._unkept: OSError | None = None
         self._attached: list[AttachmentIndex] = []
         self._chunks: list[ChunkIndex] = []
         self._index: list[tuple[int, ...]] = []
@@ -137,9 +139,27 @@ class Segment:
         self._index.append((*entry, sequence, has_sequence, clock_hz, tick, log_time))
         self.frames += frames
 
+    def settle(self) -> None:
+        """Wait until the disk has what was written, and have the system forget its copy.
+
+        A long recording would push everything else out of the system's cache. Memory that is used
+        again while it is warm also takes less time to fill than memory that was never used.
+        """
+        begin, end = self.settled, self.size
+        try:
+            os.fsync(self._fd)
+        except OSError as error:
+            self._unkept = error
+            raise
+        if hasattr(os, "posix_fadvise"):
+            os.posix_fadvise(self._fd, begin, end - begin, os.POSIX_FADV_DONTNEED)
+        self.settled = end
+
     def finish(self, *, last: bool, report: dict[str, int]) -> None:
         """Write index and summary, make sure of the disk, and give the file its name."""
         try:
+            if self._unkept is not None:  # the system tells once that it lost bytes
+                raise self._unkept
             self._finish(last=last, report=report)
         finally:
             self.abandon()

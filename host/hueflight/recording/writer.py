@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +29,7 @@ from hueflight.recording.segment import Segment
 
 CHUNK_BYTES = 1 << 20
 SEGMENT_BYTES = 256 << 20
+SETTLE_BYTES = 16 << 20
 FLUSH_SECONDS = 1.0
 FRAMES_AT_HAND = 4096
 _SEQUENCE, _HAS_SEQUENCE = STATE.index("sequence"), STATE.index("has_sequence")
@@ -38,8 +39,9 @@ class RecordingWriter:
     """Writes the camera's stream into a recording.
 
     Packets are kept exactly as received, damaged ones and bytes between them too. What `write`
-    and `flush` have put into a file outlives a crash of the program; what is in a finished
-    segment outlives a power cut.
+    and `flush` have put into a file outlives a crash of the program. A power cut takes what the
+    disk has not got yet: with a disk that keeps pace that is about the last 32 MiB, and never a
+    finished segment.
 
     Parameters
     ----------
@@ -58,6 +60,8 @@ class RecordingWriter:
     chunk_bytes, flush_seconds : optional
         Packets are put into the file when there are so many bytes of them, or when they have
         waited so long.
+    settle_bytes : optional
+        How much is written between waits for the disk, which happen in the background.
     overwrite : bool
         Replace a recording of the same name.
 
@@ -85,6 +89,7 @@ class RecordingWriter:
         segment_seconds: float | None = None,
         chunk_bytes: int = CHUNK_BYTES,
         flush_seconds: float = FLUSH_SECONDS,
+        settle_bytes: int = SETTLE_BYTES,
         overwrite: bool = False,
         kernels: Kernels | None = None,
     ) -> None:
@@ -94,13 +99,14 @@ class RecordingWriter:
         own = [name for name in attachments or {} if name in OWN_NAMES]
         if own:
             raise RecordingError(f"attachment {own[0]!r}: this name is taken, use another")
-        if min(segment_bytes, chunk_bytes) < 1:
-            raise RecordingError("segment_bytes and chunk_bytes must be at least 1")
+        if min(segment_bytes, chunk_bytes, settle_bytes) < 1:
+            raise RecordingError("segment_bytes, chunk_bytes and settle_bytes must be at least 1")
         self.frames = self.size = 0
         self.lost_frames = self.lost_bytes = 0
         self.error: RecordingError | None = None
         self._segment_bytes, self._segment_seconds = segment_bytes, segment_seconds
         self._chunk_bytes, self._flush_seconds = chunk_bytes, flush_seconds
+        self._settle_bytes = settle_bytes
         self._instrument_json = instrument.to_json()
         self._attachments = dict(attachments or {})
         self._description = Description(
@@ -118,8 +124,9 @@ class RecordingWriter:
         self._segments = 0
         self._told = True
         self._closed = False
-        self._finisher = ThreadPoolExecutor(1, thread_name_prefix="finish-segment")
+        self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
         self._finishing: Future[None] | None = None
+        self._settling: Future[None] | None = None
         self._refuse_leftovers(overwrite)
         try:
             self._segment: Segment | None = self._start_segment()
@@ -194,10 +201,10 @@ class RecordingWriter:
         try:
             self._advance(final=True)
             self._finish_segment(last=True)
-            self._wait_for_segment()
+            self._wait_for_disk()
             self._tell()
         finally:
-            self._finisher.shutdown()
+            self._disk.shutdown()
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -232,6 +239,7 @@ class RecordingWriter:
                 self._append(self._segment, payload)
                 self.frames += frames
                 self.size += len(payload)
+                self._settle(self._segment)
             except OSError as error:
                 self._fail(error)
         if self._segment is None:
@@ -255,6 +263,16 @@ class RecordingWriter:
             sequence=self._sequence[0],
             has_sequence=self._sequence[1],
         )
+
+    def _settle(self, segment: Segment) -> None:
+        """Begin to hand what was written to the disk, unless it is still busy with the last."""
+        if self._settling is not None:
+            if not self._settling.done():
+                return
+            settled, self._settling = self._settling, None
+            settled.result()
+        if segment.size - segment.settled >= self._settle_bytes:
+            self._settling = self._disk.submit(segment.settle)
 
     def _tell(self) -> None:
         """Raise a failure that nobody has been told of."""
@@ -289,17 +307,19 @@ class RecordingWriter:
 
     def _finish_segment(self, *, last: bool) -> None:
         """Hand the segment to the background thread, after the one before is done."""
-        self._wait_for_segment()
+        self._wait_for_disk()
         segment, self._segment = self._segment, None
         if segment is not None:
             report = self.report.as_dict()
-            self._finishing = self._finisher.submit(segment.finish, last=last, report=report)
+            self._finishing = self._disk.submit(segment.finish, last=last, report=report)
 
-    def _wait_for_segment(self) -> None:
-        finishing, self._finishing = self._finishing, None
+    def _wait_for_disk(self) -> None:
+        working = [work for work in (self._finishing, self._settling) if work is not None]
+        self._finishing = self._settling = None
+        wait(working)
         try:
-            if finishing is not None:
-                finishing.result()
+            for work in working:
+                work.result()
         except OSError as error:
             self._fail(error)
 
@@ -307,6 +327,9 @@ class RecordingWriter:
         """Close the segment as well as it goes, and keep in mind what happened."""
         kept = f"{self.frames} frames before it are kept"
         segment, self._segment = self._segment, None
+        if self._settling is not None:
+            wait([self._settling])  # it uses the file; what it says of the disk is known by now
+            self._settling = None
         try:
             if segment is not None:
                 segment.finish(last=True, report=self.report.as_dict())

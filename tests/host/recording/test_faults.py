@@ -3,6 +3,8 @@
 import errno
 import os
 import resource
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -156,6 +158,89 @@ def test_a_disk_that_can_not_keep_its_promise(
     assert (tmp_path / "run.mcap.part").exists()
     result = recover(tmp_path / "run.mcap", tmp_path / "out.mcap")
     assert result.frames == writer.frames
+
+
+class SlowSync:
+    """Stands before `os.fsync`: waits until it is let, notes how much of the file it was about."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.let, self.asked = threading.Event(), threading.Event()
+        self.sizes: list[int] = []
+        self.error = 0
+        self._plain = os.fsync
+        monkeypatch.setattr(os, "fsync", self.fsync)
+
+    def fsync(self, fd: int) -> None:
+        self.asked.set()
+        assert self.let.wait(20)
+        error, self.error = self.error, 0
+        if error:
+            raise OSError(error, os.strerror(error))
+        self.sizes.append(os.fstat(fd).st_size)
+        self._plain(fd)
+
+
+@pytest.fixture
+def sync(monkeypatch: pytest.MonkeyPatch) -> SlowSync:
+    return SlowSync(monkeypatch)
+
+
+def test_the_disk_is_waited_for_beside_the_writing(
+    sync: SlowSync, tmp_path: Path, small: Make, frames: Make
+) -> None:
+    packets = frames(120)
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, small(), chunk_bytes=500, settle_bytes=4000) as writer:
+        write_all(writer, packets[:60])
+        writer.flush()
+        assert sync.asked.wait(20)
+        assert writer.frames == 60  # the writer did not wait
+        sync.let.set()
+        while not sync.sizes:
+            time.sleep(0.001)
+        write_all(writer, packets[60:])
+    assert len(sync.sizes) > 2  # more than the end of the segment and the folder
+    with open_recording(path) as recording:
+        assert list(recording.packets()) == packets
+
+
+def test_a_disk_that_fails_amid_a_segment(
+    sync: SlowSync, tmp_path: Path, small: Make, frames: Make
+) -> None:
+    """The system says once that bytes did not reach the disk: the segment must not look whole."""
+    packets = frames(60)
+    sync.error = errno.EIO
+    writer = RecordingWriter(tmp_path / "run.mcap", small(), chunk_bytes=500, settle_bytes=2000)
+    write_all(writer, packets)
+    assert sync.asked.wait(20)
+    sync.let.set()
+    with pytest.raises(RecordingError, match="Input/output error"):
+        writer.close()
+    assert writer.error is not None
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap.part"]
+    result = recover(tmp_path / "run.mcap", tmp_path / "out.mcap")
+    assert result.frames == writer.frames  # this disk has them after all
+
+
+def test_a_disk_that_is_full_while_it_is_waited_for(
+    sync: SlowSync, disk: Disk, tmp_path: Path, small: Make, frames: Make
+) -> None:
+    """The file stays open until the wait for it is over."""
+    packets = frames(60)
+    writer = RecordingWriter(tmp_path / "run.mcap", small(), chunk_bytes=500, settle_bytes=2000)
+    write_all(writer, packets[:30])
+    writer.flush()
+    assert sync.asked.wait(20)
+    disk.room = 100
+    timer = threading.Timer(0.2, sync.let.set)
+    timer.start()
+    with pytest.raises(RecordingError, match="No space left"):
+        write_all(writer, packets[30:])
+    assert sync.sizes  # it had a file to wait for
+    timer.join()
+    writer.close()
+    with open_recording(recover_on_another_disk(disk, tmp_path)) as recording:
+        assert list(recording.packets()) == packets[: writer.frames]
 
 
 @pytest.fixture

@@ -27,15 +27,12 @@ def tables(run: dict[str, Any]) -> str:
         ["frames lost", ", ".join(f"{place} {count:,}" for place, count in lost.items())],
         ["occupancy", f"{run['occupancy']:.3f}"],
         ["data", f"{run['bytes'] / elapsed / 1e6:.1f} MB per second"],
-        ["recorded", f"{run['recorded_frames']:,} frames, the first {run['record_s']:.0f} s and a "
-         "little before"],
+        ["recorded", _recorded(run)],
         ["pictures made", f"{run['pictures'] / elapsed:.1f} per second, method {run['method']}"],
         ["memory after a fifth, at the end, most",
          f"{steady[0]:.0f}, {steady[-1]:.0f}, {max(steady):.0f} MB"],
         ["load of the machine", f"{run['load']:.1f} on {run['cores']} cores"],
     ]  # fmt: skip
-    if not run["record_s"]:
-        what = [row for row in what if row[0] != "recorded"]
     command = f"`python tools/bench/daemon.py {run['arguments']}`".replace(" `", "`")
     parts = [f"{command}\n", table(["what", "value"], what)]
     delays = run["latency_s"]
@@ -57,6 +54,17 @@ def tables(run: dict[str, Any]) -> str:
             table([f"frames per second, {run['trial_s']:.0f} s each", "frames lost"], tried)
         )
     return "\n".join(parts)
+
+
+def _recorded(run: dict[str, Any]) -> str:
+    of, seconds = run["recording"], run["record_s"]
+    if not of:
+        return "nothing"
+    return (
+        f"{of['recorded']:,} of {of['delivered']:,} frames, in {seconds:.0f} s and a little before "
+        f"and after; the last {of['segments']} segments read back: {of['intact']:,} of "
+        f"{of['in_segments']:,} frames intact"
+    )
 
 
 def thinned(samples: list[Any]) -> list[Any]:

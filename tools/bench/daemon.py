@@ -33,7 +33,10 @@ from _daemon_report import into_documentation, plot, tables, thinned
 
 from hueflight.ingest import accumulate
 from hueflight.instrument import Instrument
+from hueflight.recording import open_recording
+from hueflight.recording.layout import segment_files
 
+RECORDING = "data/recordings/bench.mcap"  #: in the daemon's folder
 PATIENCE_S = 180.0
 SETTLE_S = 8.0  #: before a measurement: the browser's first pictures are slow
 TRIAL_S = 20.0
@@ -288,19 +291,19 @@ def _watch(
     cpu_s = Stages(url, folder, *processes)
     record_s = min(arguments.record, seconds)
     if record_s:
-        ask(url + "/api/recordings", {"name": "bench", "seconds": record_s + SETTLE_S})
+        ask(url + "/api/recordings", {"name": Path(RECORDING).stem, "seconds": record_s + SETTLE_S})
         until(lambda: status_of(url)["recording"]["frames"], "it records")
     time.sleep(SETTLE_S)
     before, busy = status_of(url), cpu_s()
-    began, samples, recorded = time.monotonic(), [], 0
+    began, samples = time.monotonic(), []
 
     def since(group: dict[str, Any], start: dict[str, Any]) -> dict[str, Any]:
         return {name: value - start[name] for name, value in group.items()}
 
     while time.monotonic() - began < seconds:
         time.sleep(1)
+        erase_oldest(folder / RECORDING, arguments.keep)
         now = status_of(url)
-        recorded = max(recorded, now["recording"]["frames"])
         samples.append(
             {
                 "time_s": round(time.monotonic() - began, 2),
@@ -310,7 +313,7 @@ def _watch(
                 "cpu_s": since(cpu_s(), busy),
             }
         )
-    elapsed, after = time.monotonic() - began, status_of(url)
+    elapsed, after, cpu = time.monotonic() - began, status_of(url), since(cpu_s(), busy)
     totals = since(after["totals"], before["totals"])
     sensor = Instrument.load(arguments.instrument).sensor
     return {
@@ -321,15 +324,40 @@ def _watch(
         "occupancy": totals["photons"] / max(1, totals["delivered"]) / sensor.rows / sensor.cols,
         "lost": since(after["lost"], before["lost"]),
         "record_s": record_s,
-        "recorded_frames": recorded,
+        "recording": read_back(url, folder / RECORDING) if record_s else None,
         "pictures": after["picture"]["number"] - before["picture"]["number"],
         "method": after["picture"]["method"],
         "latency_s": after["latency_s"],
-        "cpu_s": since(cpu_s(), busy),
+        "cpu_s": cpu,
         "load": os.getloadavg()[0],
         "cores": os.cpu_count(),
         "samples": thinned(samples),
     }
+
+
+def erase_oldest(recording: Path, keep_gb: float) -> None:
+    """Make room: erase finished segments, of those that are more than so much."""
+    left = keep_gb * 1e9 if keep_gb else float("inf")
+    for segment in reversed(segment_files(recording)[0]):
+        left -= segment.stat().st_size
+        if left < 0:
+            segment.unlink()
+
+
+def read_back(url: str, recording: Path) -> dict[str, int]:
+    """What the recording's run delivered and recorded; frames of segments that are still there."""
+    what = "the recording is whole"
+    last = until(lambda: (status_of(url)["recording"]["last"] or {}).get("recorded_frames"), what)
+    run = status_of(url)["recording"]["last"]
+    segments, frames, intact = segment_files(recording)[0], 0, 0
+    for segment in segments:
+        with open_recording(segment) as part:
+            frames += part.frames
+            intact += part.accumulate()[1].frames
+    return {
+        "delivered": run["delivered"], "recorded": last,
+        "segments": len(segments), "in_segments": frames, "intact": intact,
+    }  # fmt: skip
 
 
 def highest_rate(arguments: argparse.Namespace) -> tuple[float, list[tuple[float, int]]]:
@@ -367,6 +395,10 @@ def main() -> None:
     parser.add_argument(
         "--record", type=float, nargs="?", const=60.0, default=0.0, metavar="SECONDS",
         help="record at the beginning, 60 s unless said otherwise",
+    )  # fmt: skip
+    parser.add_argument(
+        "--keep", type=float, default=0.0, metavar="GB",
+        help="erase the oldest finished segments of the recording beyond this; 0: keep all",
     )  # fmt: skip
     parser.add_argument("--folder", type=Path, help="where the recording goes meanwhile")
     parser.add_argument("--plot", type=Path, help="file to draw the run in")

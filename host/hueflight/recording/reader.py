@@ -79,6 +79,7 @@ class Recording:
         self.frames = sum(segment.closing.frames for segment in segments)
         # every chunk of every file, in order; `file` says which
         self._index = np.concatenate([segment.index for segment in segments])
+        self._index["first"] -= first.closing.first  # a later segment may be opened alone
         counts = [len(segment.index) for segment in segments]
         self._file = np.repeat(np.arange(len(segments)), counts)
 

@@ -102,7 +102,9 @@ def serve(arguments: argparse.Namespace) -> None:
         for kind in ("scene", "reference")
     }
     instrument = played(arguments.instrument, arguments.rate)
-    model = CameraModel(instrument.sensor, banks["scene"])
+    model = CameraModel(
+        instrument.sensor, banks["scene"], buffer_bytes=round(arguments.buffer * (1 << 20))
+    )
     emulated = 0.0
 
     class TimedStream(ModelStream):
@@ -250,7 +252,7 @@ def measure(arguments: argparse.Namespace, rate_hz: float, seconds: float) -> di
             sys.executable, __file__, "--serve", name, "--instrument", arguments.instrument,
             "--rate", str(rate_hz), "--pictures", str(arguments.pictures),
             "--drawn", str(arguments.drawn), "--change-sigma", str(arguments.change_sigma),
-            "--occupancy", str(arguments.occupancy),
+            "--occupancy", str(arguments.occupancy), "--buffer", str(arguments.buffer),
         ]  # fmt: skip
         with running(me, folder / "daemon.log") as daemon:
             line = until(lambda: _first_line(folder / "daemon.log", daemon), "the daemon listens")
@@ -390,6 +392,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--pictures", type=float, default=0.0, help="per second; 0: what suits")
     parser.add_argument("--occupancy", type=float, default=0.0, help="0: what the scene has")
+    parser.add_argument(
+        "--buffer", type=float, default=8.0, metavar="MIB",
+        help="the emulated camera keeps, as transfers under way on a bus do; 8 are what Linux "
+        "grants unless told otherwise",
+    )  # fmt: skip
     parser.add_argument("--change-sigma", type=float, default=4.0, help="0: fit every pixel")
     parser.add_argument("--drawn", type=int, default=240, help="frames that are played in turn")
     parser.add_argument(

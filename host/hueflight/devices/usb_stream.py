@@ -28,7 +28,7 @@ from hueflight.devices.errors import (
 from hueflight.devices.streams import StreamStatistics
 from hueflight.devices.usb_identity import STREAM_IN, STREAM_INTERFACE
 
-TRANSFERS = 12
+TRANSFERS = 64  #: of some 4 ms each: a quarter of a second, where the kernel grants as much
 QUEUE_BYTES = 64 << 20
 MAX_ERRORS_IN_A_ROW = 16  #: failed transfers after which the link is given up
 USBFS_LIMIT = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")

@@ -11,11 +11,14 @@ from pathlib import Path
 import pytest
 
 from hueflight.capture.urgency import Urgency
+from hueflight.devices.camera import MAX_TRANSFER_BYTES
 from hueflight.devices.usb_identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
+from hueflight.devices.usb_stream import TRANSFERS, USBFS_LIMIT
 
 HOST = Path(__file__).resolve().parents[3] / "host"
 RULES = HOST / "udev/60-hueflight.rules"
 UNIT = HOST / "systemd/hueflight@.service"
+MEMORY = HOST / "systemd/tmpfiles-hueflight.conf"
 # keys and operators of udev(7) that these rules use
 MATCH = re.compile(r'(SUBSYSTEM|ENV\{\w+\}|ATTR\{\w+\}|ATTRS\{\w+\})=="([^"]+)"')
 ASSIGN = re.compile(r'(MODE|GROUP|ENV\{\w+\})="([^"]+)"|(TAG|SYMLINK)\+="([^"]+)"')
@@ -71,6 +74,13 @@ def test_the_unit_lets_acquisition_come_first() -> None:
     limits = dict(re.findall(r"^(Limit\w+)=(\S+)$", UNIT.read_text(), re.M))
     assert int(limits["LimitRTPRIO"]) == max(urgency.real_time for urgency in Urgency)
     assert int(limits["LimitNICE"]) == min(urgency.niceness for urgency in Urgency)
+
+
+def test_the_kernel_is_asked_for_memory_where_the_driver_looks() -> None:
+    lines = [line for line in MEMORY.read_text().splitlines() if not line.startswith("#")]
+    [(kind, path, *unused, megabytes)] = [line.split() for line in lines]
+    assert (kind, path, unused) == ("w", str(USBFS_LIMIT), ["-"] * 4)  # tmpfiles.d(5)
+    assert int(megabytes) << 20 >= 2 * TRANSFERS * MAX_TRANSFER_BYTES
 
 
 def test_systemd_reads_the_unit(tmp_path: Path) -> None:

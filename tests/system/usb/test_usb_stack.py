@@ -127,7 +127,8 @@ from hueflight.devices.usb_stream import UsbStream
 from hueflight.devices import usb
 place = find_cameras()[0]
 camera = Camera(usb.UsbTransport(place),
-                lambda size: UsbStream(place.bus, place.address, size, queue_bytes=40000))
+                lambda size: UsbStream(place.bus, place.address, size, queue_bytes=40000,
+                                       transfers=12))
 camera.configure(instrument)
 camera.start(frame_limit=2000)
 while camera.running():

@@ -92,15 +92,19 @@ def plot(path: Path, run: dict[str, Any]) -> None:
     most = max(max(sample["lost"].values()) for sample in samples)
     axes[1].set(ylabel="frames lost", ylim=(-0.05 * max(most, 1), 1.1 * max(most, 1)))
     axes[1].legend(ncols=5, fontsize="small", loc="upper left")
+    busiest = 0.0
     for stage in STAGES:
         used = [sample["cpu_s"].get(stage, 0.0) for sample in samples]
-        axes[2].plot(seconds[1:], np.diff(used) / np.diff(seconds), label=stage)
-    axes[2].set(ylabel="share of one core", ylim=(0, None))
+        share = np.diff(used) / np.diff(seconds)
+        axes[2].plot(seconds[1:], share, label=stage)
+        busiest = max(busiest, share.max())
+    axes[2].set(ylabel="share of one core", ylim=(0, 1.5 * busiest))  # room for the legend
     axes[2].legend(ncols=3, fontsize="small", loc="upper right")
     for name, label in (("p50", "median"), ("p95", "95 %")):
         delays = [1e3 * (sample["latency_s"] or {}).get(name, float("nan")) for sample in samples]
         axes[3].plot(seconds, delays, label=label)
-    axes[3].set(ylabel="delay (ms)", ylim=(0, None), xlabel="time (s)", xlim=(0, seconds[-1]))
+    axes[3].set(ylabel="delay (ms)", ylim=(0, 1.3 * axes[3].get_ylim()[1]))
+    axes[3].set(xlabel="time (s)", xlim=(0, seconds[-1]))
     axes[3].legend(ncols=2, fontsize="small")
     figure.savefig(path, metadata={"Date": None})
     plt.close(figure)

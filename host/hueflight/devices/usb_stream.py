@@ -30,10 +30,11 @@ from hueflight.devices.usb_identity import STREAM_IN, STREAM_INTERFACE
 
 TRANSFERS = 64  #: of some 4 ms each: a quarter of a second, where the kernel grants as much
 QUEUE_BYTES = 64 << 20
-MAX_ERRORS_IN_A_ROW = 16  #: failed transfers after which the link is given up
+MAX_ERRORS_IN_A_ROW = 16  #: failed transfers after which the link is given up, or twice all of them
 USBFS_LIMIT = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _DEFAULT_USBFS_MB = 16
 _POLL_S = 0.1
+_CANCEL_S = 2.0
 
 
 def in_flight_limit() -> int:
@@ -120,8 +121,8 @@ class UsbStream:
             try:
                 transfer.submit()
             except usb1.USBErrorNoMem:
-                if self._under_way >= 2:
-                    return
+                if self._under_way > 2:
+                    return self._leave_room()
                 self._abandon()
                 raise DeviceError(
                     f"{self._name}: the kernel grants too little memory for USB transfers: raise "
@@ -131,6 +132,14 @@ class UsbStream:
                 self._abandon()
                 raise DeviceGoneError(f"{self._name}: can't start the stream: {error}") from None
             self._under_way += 1
+
+    def _leave_room(self) -> None:
+        """Give up one transfer: messages to the camera take of the same memory."""
+        before = self._under_way
+        self._all[-2].cancel()  # the last one was refused
+        deadline = time.monotonic() + _CANCEL_S
+        while self._under_way == before and time.monotonic() < deadline:
+            self._context.handleEventsTimeout(_POLL_S)
 
     def _abandon(self) -> None:
         self._handle.close()
@@ -233,7 +242,8 @@ class UsbStream:
             if self._halted and not self._closing:
                 self._resting.append(transfer)
         elif status == usb1.TRANSFER_STALL:
-            self._count_error()
+            if not self._halted:  # one halt fails whatever is under way
+                self._count_error()
             self._halted = True
             self._resting.append(transfer)
             # after a halt nothing moves until it is cleared, which needs an idle endpoint
@@ -251,7 +261,7 @@ class UsbStream:
     def _count_error(self) -> None:
         self._errors += 1
         self._in_a_row += 1
-        if self._in_a_row >= MAX_ERRORS_IN_A_ROW:
+        if self._in_a_row >= max(MAX_ERRORS_IN_A_ROW, 2 * len(self._all)):
             self._fail(
                 DeviceGoneError(
                     f"{self._name}: {self._in_a_row} transfers failed in a row: check the cable "

@@ -122,7 +122,8 @@ class UsbStream:
                 transfer.submit()
             except usb1.USBErrorNoMem:
                 if self._under_way > 2:
-                    return self._leave_room()
+                    self._leave_room()
+                    return
                 self._abandon()
                 raise DeviceError(
                     f"{self._name}: the kernel grants too little memory for USB transfers: raise "

@@ -6,13 +6,17 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import pytest
 
 from hueflight.capture.urgency import Urgency, adopt
 
 
-def in_a_thread(work: Callable[[], object]) -> object:
+T = TypeVar("T")
+
+
+def in_a_thread(work: Callable[[], T]) -> T:
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(work).result()
 
@@ -31,7 +35,7 @@ def allowed(attempt: Callable[[], None]) -> bool:
             return False
         return True
 
-    return bool(in_a_thread(tried))
+    return in_a_thread(tried)
 
 
 REAL_TIME = allowed(lambda: os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(12)))
@@ -40,7 +44,7 @@ NICE = allowed(lambda: os.setpriority(os.PRIO_PROCESS, threading.get_native_id()
 
 @pytest.mark.parametrize("urgency", [Urgency.ACQUISITION, Urgency.RECORDING])
 def test_as_much_as_the_system_allows(urgency: Urgency) -> None:
-    said, (policy, priority, niceness) = in_a_thread(lambda: (adopt(urgency), scheduled()))  # type: ignore[misc]
+    said, (policy, priority, niceness) = in_a_thread(lambda: (adopt(urgency), scheduled()))
     if REAL_TIME:
         assert (said, policy, priority) == ("real time", os.SCHED_RR, urgency.real_time)
     elif NICE:

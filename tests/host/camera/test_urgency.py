@@ -12,7 +12,6 @@ import pytest
 
 from hueflight.capture.urgency import Urgency, adopt
 
-
 T = TypeVar("T")
 
 

@@ -348,16 +348,14 @@ def erase_oldest(recording: Path, keep_gb: float) -> None:
 
 def read_back(url: str, recording: Path) -> dict[str, int]:
     """What the recording's run delivered and recorded; frames of segments that are still there."""
-    what = "the recording is whole"
-    last = until(lambda: (status_of(url)["recording"]["last"] or {}).get("recorded_frames"), what)
-    run = status_of(url)["recording"]["last"]
+    run = until(lambda: status_of(url)["recording"]["last"], "the recording is whole")
     segments, frames, intact = segment_files(recording)[0], 0, 0
     for segment in segments:
         with open_recording(segment) as part:
             frames += part.frames
             intact += part.accumulate()[1].frames
     return {
-        "delivered": run["delivered"], "recorded": last,
+        "delivered": run["delivered"], "recorded": run["recorded_frames"],
         "segments": len(segments), "in_segments": frames, "intact": intact,
     }  # fmt: skip
 

@@ -30,7 +30,7 @@ from hueflight.devices.usb_identity import STREAM_IN, STREAM_INTERFACE
 
 TRANSFERS = 64  #: of some 4 ms each: a quarter of a second, where the kernel grants as much
 QUEUE_BYTES = 64 << 20
-MAX_ERRORS_IN_A_ROW = 16  #: failed transfers after which the link is given up, or twice all of them
+MAX_FAILED_ROUNDS = 4  #: in a row, of all transfers, after which the link is given up
 USBFS_LIMIT = Path("/sys/module/usbcore/parameters/usbfs_memory_mb")
 _DEFAULT_USBFS_MB = 16
 _POLL_S = 0.1
@@ -71,7 +71,8 @@ class UsbStream:
         self._size = max(1, transfer_bytes // 1024) * 1024
         self._queue_bytes = max(queue_bytes, 2 * self._size)
         self._queue: deque[bytes] = deque()
-        self._queued = self._received = self._stalls = self._errors = self._in_a_row = 0
+        self._queued = self._received = self._stalls = self._errors = 0
+        self._failed_rounds = 0.0  # since data came last
         self._stalled_s = 0.0
         self._stalled_since: float | None = None
         self._all: list[Any] = []
@@ -232,7 +233,7 @@ class UsbStream:
                 self._queue.append(bytes(transfer.getBuffer()[:size]))
                 self._queued += size
                 self._received += size
-                self._in_a_row = 0
+                self._failed_rounds = 0.0
             self._judge(status, transfer)
             self._changed.notify_all()
 
@@ -244,14 +245,14 @@ class UsbStream:
                 self._resting.append(transfer)
         elif status == usb1.TRANSFER_STALL:
             if not self._halted:  # one halt fails whatever is under way
-                self._count_error()
+                self._count_error(rounds=1)
             self._halted = True
             self._resting.append(transfer)
             # after a halt nothing moves until it is cleared, which needs an idle endpoint
             self._cancel_all()
         elif self._failure is None and not self._closing:
             if status not in (usb1.TRANSFER_COMPLETED, usb1.TRANSFER_TIMED_OUT):
-                self._count_error()
+                self._count_error(rounds=1 / len(self._all))
             if self._halted:
                 self._resting.append(transfer)
             elif self._queued < self._queue_bytes:
@@ -259,14 +260,14 @@ class UsbStream:
             else:
                 self._rest(transfer)
 
-    def _count_error(self) -> None:
+    def _count_error(self, *, rounds: float) -> None:
         self._errors += 1
-        self._in_a_row += 1
-        if self._in_a_row >= max(MAX_ERRORS_IN_A_ROW, 2 * len(self._all)):
+        self._failed_rounds += rounds
+        if self._failed_rounds >= MAX_FAILED_ROUNDS:
             self._fail(
                 DeviceGoneError(
-                    f"{self._name}: {self._in_a_row} transfers failed in a row: check the cable "
-                    "and the port, then plug the camera again"
+                    f"{self._name}: all transfers failed {MAX_FAILED_ROUNDS} times in a row: check "
+                    "the cable and the port, then plug the camera again"
                 )
             )
 

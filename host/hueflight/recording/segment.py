@@ -184,7 +184,7 @@ class Segment:
             self.size, CHANNEL, statistics, self._chunks, self._attached, [self._capture]
         )
         self._append([summary])
-        os.fsync(self._fd)
+        self.settle()
         part_path(self.path).replace(self.path)
         _sync_folder(self.path.parent)
 

@@ -16,6 +16,7 @@ import hueflight as hf
 from hueflight.capture.acquisition import Acquisition
 from hueflight.capture.plan import CaptureError, RunPlan
 from hueflight.capture.snapshot import LiveBlock
+from hueflight.capture.urgency import Urgency
 from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceGoneError
 from hueflight.recording import open_recording
@@ -54,6 +55,23 @@ def test_a_run_brings_every_frame(begin: Begin, rig: FaultyRig) -> None:
     assert result.photons == result.histograms[0][..., 1:].sum()
     assert result.simulated
     assert rig.kept_alive.is_set()
+
+
+def test_acquisition_and_recording_ask_to_come_first(
+    begin: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, told = [], []
+
+    def adopt(urgency: Urgency) -> str:
+        asked.append((threading.current_thread().name, urgency))
+        return "as asked"
+
+    for module in ("acquisition", "recorder"):
+        monkeypatch.setattr(f"hueflight.capture.{module}.adopt", adopt)
+    acquisition = begin(on_event=lambda name, details: told.append((name, details)))
+    acquisition.run(RunPlan(frames=10, path=tmp_path / "run.mcap")).result(WAIT_S)
+    assert asked == [("acquisition", Urgency.ACQUISITION), ("recorder", Urgency.RECORDING)]
+    assert told[0] == ("acquisition", {"scheduled": "as asked"})
 
 
 def test_a_recording_is_the_run(begin: Begin, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pytest
 import hueflight as hf
 from hueflight.capture.plan import CaptureError, RunPlan
 from hueflight.capture.until import Until, Watch
+from hueflight.capture.urgency import Urgency
 from hueflight.cli.capture import until_of
 from hueflight.reconstruction.stopping import StopRule, seen_enough, share_known
 from hueflight.recording import open_recording
@@ -118,6 +119,18 @@ def test_blocks_add_up_until_enough_is_known(calibration: hf.Calibration, draw) 
     assert shares[0] < 0.9
     assert len(shares) > 2
     watch.close()
+
+
+def test_looks_step_back_from_what_begins_them(
+    calibration: hf.Calibration, draw, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    monkeypatch.setattr("hueflight.capture.until.adopt", asked.append)
+    watch = Watch(Until(StopRule(depth_std=0.02), calibration))
+    watch.add(draw(calibration.instrument, depth=0.6, photons=100, frames=1000, seed=1), 1000)
+    settle(watch)
+    watch.close()
+    assert asked == [Urgency.RECONSTRUCTION]
 
 
 def test_a_histogram_of_another_instrument_ends_the_run_with_its_reason(

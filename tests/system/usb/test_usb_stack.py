@@ -152,6 +152,33 @@ camera.close()
     assert found["queued"] < 60_000 + 12 * 32_768
 
 
+class Stuck(set[int]):
+    """Endpoints that stall again as soon as they are cleared."""
+
+    def discard(self, element: int, /) -> None:
+        """Keep it."""
+
+
+@pytest.mark.slow
+def test_a_link_on_which_all_fails_is_given_up(run_client: Run, bus: UsbfsBus) -> None:
+    client = run_client("""
+camera = open_camera()
+camera.configure(instrument)
+say(ready=True)
+wait()
+camera.start(capture=1)
+try:
+    while True:
+        camera.read(0.05)
+except DeviceGoneError as error:
+    say(error=str(error))
+""")
+    client.hear()
+    bus.camera.stalled = Stuck({STREAM_IN})
+    client.tell()
+    assert "all transfers failed 4 times in a row: check the cable" in client.hear()["error"]
+
+
 def test_unplugged_while_reading(run_client: Run, bus: UsbfsBus, model: CameraModel) -> None:
     client = run_client("""
 camera = open_camera()

@@ -45,19 +45,25 @@ def page(start_daemon: Start, tmp_path: Path) -> Iterator[Any]:
     assert not failures
 
 
+def wait(page: Any, selector: str, text: str) -> None:
+    """Until the element says `text`.
+
+    A function, not an expression: Playwright evaluates an expression again at every look, which
+    the page's Content-Security-Policy refuses from the second on.
+    """
+    page.wait_for_function(
+        "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
+    )
+
+
 def test_a_session_at_the_instrument(
     page: Any, bus: Any, model: CameraModel, banks: dict[str, list[bytes]], tmp_path: Path
 ) -> None:
     """Start, calibrate, look, inspect, record, unplug, replug, stop; by keyboard throughout."""
 
-    def wait(selector: str, text: str) -> None:
-        page.wait_for_function(
-            "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
-        )
-
-    wait("#state", "live")
+    wait(page, "#state", "live")
     assert page.is_hidden("#simulated")
-    wait("#hint", "not calibrated")
+    wait(page, "#hint", "not calibrated")
 
     model.bank = FrameBank(banks["reference"])
     page.keyboard.press("c")
@@ -66,7 +72,7 @@ def test_a_session_at_the_instrument(
     page.fill("#frames", "2000")
     page.uncheck("#with-bands")
     page.keyboard.press("Enter")
-    wait("#f-calibration", "calibrated at 0.4 m")
+    wait(page, "#f-calibration", "calibrated at 0.4 m")
     model.bank = FrameBank(banks["scene"])
     page.wait_for_selector("#hint", state="hidden")
 
@@ -87,44 +93,44 @@ def test_a_session_at_the_instrument(
     page.wait_for_selector("#three", state="hidden")
 
     page.keyboard.press("ArrowRight")
-    wait("#pixel-place", "row 24, column 17")
+    wait(page, "#pixel-place", "row 24, column 17")
     page.keyboard.press("Shift+ArrowUp")
-    wait("#pixel-place", "row 16, column 17")
-    wait("#pixel-note", "photons in")
+    wait(page, "#pixel-place", "row 16, column 17")
+    wait(page, "#pixel-note", "photons in")
     box = page.locator("#view").bounding_box()
     page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    wait("#pixel-place", "row 24, column 16")
-    wait("#pixel-depth", " m")
+    wait(page, "#pixel-place", "row 24, column 16")
+    wait(page, "#pixel-depth", " m")
 
     page.keyboard.press("r")
     page.wait_for_selector("#recording", state="visible")
     name = page.daemon.status()["recording"]["name"]
     until(lambda: page.daemon.status()["recording"]["frames"] > 200, "frames are recorded")
     page.keyboard.press("r")
-    wait("#f-disk", f"last: {name}")
+    wait(page, "#f-disk", f"last: {name}")
     with open_recording(tmp_path / f"data/recordings/{name}.mcap") as recording:
         assert recording.info().as_dict()["report"]["frames"] > 200
 
-    wait("#state", "live")
+    wait(page, "#state", "live")
     page.wait_for_selector("#stale", state="hidden")
     before = page.daemon.status()["totals"]["delivered"]
     until(lambda: page.daemon.status()["totals"]["delivered"] > before, "the live run is on")
     bus.unplug()
-    wait("#state", "no camera")
-    wait("#stale", "No camera.")
+    wait(page, "#state", "no camera")
+    wait(page, "#stale", "No camera.")
     assert "old" in page.get_attribute("#view", "class")
     bus.plug()
-    wait("#state", "live")
+    wait(page, "#state", "live")
     page.wait_for_selector("#stale", state="hidden")
-    wait("#gap-count", "1")
+    wait(page, "#gap-count", "1")
     assert page.is_hidden("#problem")
     assert "bad" in page.get_attribute("#f-lost", "class")
 
     page.keyboard.press(" ")
-    wait("#state", "stopped")
-    wait("#stale", "Stopped.")
+    wait(page, "#state", "stopped")
+    wait(page, "#stale", "Stopped.")
     page.keyboard.press(" ")
-    wait("#state", "live")
+    wait(page, "#state", "live")
 
     theme = page.get_attribute("html", "data-theme")
     page.keyboard.press("t")
@@ -135,12 +141,12 @@ def test_a_session_at_the_instrument(
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
 
     page.daemon.end(signal.SIGKILL)
-    wait("#state", "daemon not reachable")
-    wait("#stale", "The daemon is not reachable.")
+    wait(page, "#state", "daemon not reachable")
+    wait(page, "#stale", "The daemon is not reachable.")
 
 
 def test_tabs_and_buttons_are_reached_by_tab_alone(page: Any) -> None:
-    page.wait_for_function("document.querySelector('#state').textContent === 'live'")
+    wait(page, "#state", "live")
     reached = []
     for _ in range(14):
         page.keyboard.press("Tab")

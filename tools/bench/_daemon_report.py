@@ -28,7 +28,8 @@ def tables(run: dict[str, Any]) -> str:
         ["occupancy", f"{run['occupancy']:.3f}"],
         ["data", f"{run['bytes'] / elapsed / 1e6:.1f} MB per second"],
         ["recorded", _recorded(run)],
-        ["pictures made", f"{run['pictures'] / elapsed:.1f} per second, method {run['method']}"],
+        ["pictures made", f"{run['pictures'] / elapsed:.1f} per second, method {run['method']}; "
+         f"{run['skipped']:,} histograms too old to be shown"],
         ["memory after a fifth, at the end, most",
          f"{steady[0]:.0f}, {steady[-1]:.0f}, {max(steady):.0f} MB"],
         ["load of the machine", f"{run['load']:.1f} on {run['cores']} cores"],

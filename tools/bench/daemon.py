@@ -328,6 +328,7 @@ def _watch(
         "record_s": record_s,
         "recording": read_back(url, folder / RECORDING) if record_s else None,
         "pictures": after["picture"]["number"] - before["picture"]["number"],
+        "skipped": after["picture"]["skipped"] - before["picture"]["skipped"],
         "method": after["picture"]["method"],
         "latency_s": after["latency_s"],
         "cpu_s": cpu,
@@ -407,7 +408,7 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument("--folder", type=Path, help="where the recording goes meanwhile")
     parser.add_argument("--plot", type=Path, help="file to draw the run in")
-    parser.add_argument("--docs", metavar="NAME", help="put plot, tables and JSON into docs/")
+    parser.add_argument("--docs", choices=("run", "delay"), help="put plot, tables and JSON into docs/")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:

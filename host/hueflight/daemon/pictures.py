@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from hueflight.reconstruction.reconstruct import METHODS, reconstruct
 from hueflight.reconstruction.video import Video
 
 CHANGE_SIGMA = 4.0  #: see `Video`
-REFRESH_S = 10.0  #: then every pixel is fitted again: chance may have misled a fit that is kept
+REFRESH_S = 10.0  #: in which every pixel is fitted again: chance may have misled a kept fit
 GROWTH = 1.1  #: by so much more frames than behind the kept fits, all pixels are fitted again
 UNSEEN_S = 1.0  #: from picture to picture while nobody looks
 _WAIT_S = 0.5
@@ -152,10 +153,13 @@ class Pictures:
             begun_s = time.monotonic()
             for live in blocks:
                 self._window.add(live)
-            latest = self.latest
-            if latest and not self._looked_at() and begun_s - latest.begun_s < UNSEEN_S:
+            if not self._wanted(begun_s):
                 continue
             self._make(blocks[-1], self._window.counts(), self._window.frames, begun_s)
+
+    def _wanted(self, now: float) -> bool:
+        """Whether anybody looks, or may ask for a picture later and find it too old."""
+        return self.latest is None or self._looked_at() or now - self.latest.begun_s >= UNSEEN_S
 
     def _make(self, live: LiveBlock, counts: Counts, frames: int, begun_s: float) -> None:
         block = live.block
@@ -201,27 +205,36 @@ class Pictures:
 
 
 class Film:
-    """The joint fit from picture to picture: what is still need not be fitted again each time."""
+    """The joint fit from picture to picture: what is still need not be fitted again each time.
+
+    Yet all pixels are within `REFRESH_S`, some in each picture, so that none takes much longer.
+    """
 
     def __init__(self, *, change_sigma: float, threads: int) -> None:
         self._change_sigma, self._threads = change_sigma, threads
         self._video: Video | None = None
         self._frames = 0
-        self._begun_s = 0.0
+        self._begun_s = self._latest_s = 0.0
 
     def next(self, counts: Counts, calibration: Calibration, frames: int) -> xr.Dataset:
         """Image of the next histogram; every pixel is fitted where the kept fits know less."""
         now = time.monotonic()
         video = self._video
-        if (
-            video is None
-            or video.calibration is not calibration
-            or frames > GROWTH * self._frames
-            or now - self._begun_s > REFRESH_S
-        ):
+        if video is None or video.calibration is not calibration or frames > GROWTH * self._frames:
             video = Video(calibration, change_sigma=self._change_sigma, threads=self._threads)
             self._video, self._frames, self._begun_s = video, frames, now
-        return video.next(counts)
+            self._latest_s = now
+        due = self._due(calibration.usable.shape, now)
+        self._latest_s = now
+        return video.next(counts, due=due)
+
+    def _due(self, shape: tuple[int, ...], now: float) -> NDArray[np.bool_]:
+        """Pixels whose turn has come since the latest picture."""
+        due = np.zeros(shape, bool)
+        per_s = due.size / REFRESH_S
+        first, stop = (int(per_s * (at - self._begun_s)) for at in (self._latest_s, now))
+        due.flat[np.arange(first, min(stop, first + due.size)) % due.size] = True
+        return due
 
 
 class _Window:
@@ -241,8 +254,7 @@ class _Window:
     def add(self, live: LiveBlock) -> None:
         """Take a histogram in, and the oldest out."""
         if self.blocks == 1:
-            self.frames, self._total = live.block.frames, _counts(live).copy()
-            live.give_back()
+            self.frames, self._total = live.block.frames, _lent(live)
             return
         # one LED at a time: pictures are of the one that fires now, so steps are not summed
         if self._live and (self._live[-1].run, _step(self._live[-1])) != (live.run, _step(live)):
@@ -267,6 +279,13 @@ class _Window:
         """The sum, in an array of its own."""
         assert self._total is not None
         return self._total if self.blocks == 1 else self._total.copy()
+
+
+def _lent(live: LiveBlock) -> Counts:
+    """The counts of a block that is given back when nobody holds them any more."""
+    counts = _counts(live).view()
+    weakref.finalize(counts, live.give_back)
+    return counts
 
 
 def _step(live: LiveBlock) -> int:

@@ -80,8 +80,20 @@ class Video:
         self._threads = threads
         self._kept: _Kept | None = None
 
-    def next(self, histogram: ArrayLike, /, *, frames: ArrayLike | None = None) -> xr.Dataset:
+    def next(
+        self,
+        histogram: ArrayLike,
+        /,
+        *,
+        frames: ArrayLike | None = None,
+        due: NDArray[np.bool_] | None = None,
+    ) -> xr.Dataset:
         """Image of the next histogram (row, col, code); what pixels kept is flagged skipped.
+
+        Parameters
+        ----------
+        frames : as in `reconstruct`.
+        due : (row, col) pixels that are fitted again whether they have changed or not.
 
         Raises
         ------
@@ -91,7 +103,10 @@ class Video:
         calibration = self.calibration
         seen = check_in(histogram, calibration, frames)
         flat = seen.light.reshape(-1, seen.light.shape[-1])
-        changed = calibration.usable & self._differs(flat, seen.photons, seen.frames)
+        changed = self._differs(flat, seen.photons, seen.frames)
+        if due is not None:
+            changed |= due
+        changed &= calibration.usable
         kept = self._kept = self._fitted(flat, seen.photons, seen.frames, changed)
         quality = kept.estimates.quality.copy()
         quality[calibration.usable & ~changed] |= int(Quality.SKIPPED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ import pytest
 from browser import open_browser, require_chromium
 from daemon_process import PATIENCE_S, Daemon, until
 
+from hueflight.daemon.server import REQUEST_S
 from hueflight.devices import CameraModel, FrameBank
 from hueflight.recording import open_recording
 
 Start = Callable[[], Daemon]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+LONGER_S = REQUEST_S + 2.0  #: than any limit of a request
 COLOURS_ON_THE_PLANE = """() => {
   const canvas = document.getElementById("plane"), gl = canvas.getContext("webgl2");
   const pixels = new Uint8Array(4 * canvas.width * canvas.height);
@@ -39,6 +42,8 @@ def page(start_daemon: Start, tmp_path: Path) -> Iterator[Any]:
         opened.set_default_timeout(PATIENCE_S * 1e3)
         failures: list[str] = []
         opened.on("pageerror", lambda error: failures.append(str(error)))
+        opened.sockets = []
+        opened.on("websocket", lambda made: opened.sockets.append(made))
         opened.goto(daemon.url)
         opened.daemon = daemon
         yield opened
@@ -61,6 +66,7 @@ def test_a_session_at_the_instrument(
 ) -> None:
     """Start, calibrate, look, inspect, record, unplug, replug, stop; by keyboard throughout."""
 
+    began_s = time.monotonic()
     wait(page, "#state", "live")
     assert page.is_hidden("#simulated")
     wait(page, "#hint", "not calibrated")
@@ -140,6 +146,8 @@ def test_a_session_at_the_instrument(
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), width
 
+    page.wait_for_timeout(1e3 * max(0.0, began_s + LONGER_S - time.monotonic()))
+    assert len(page.sockets) == 1, "the page lost its live socket"
     page.daemon.end(signal.SIGKILL)
     wait(page, "#state", "daemon not reachable")
     wait(page, "#stale", "The daemon is not reachable.")

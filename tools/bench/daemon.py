@@ -408,7 +408,9 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument("--folder", type=Path, help="where the recording goes meanwhile")
     parser.add_argument("--plot", type=Path, help="file to draw the run in")
-    parser.add_argument("--docs", choices=("run", "delay"), help="put plot, tables and JSON into docs/")
+    parser.add_argument(
+        "--docs", choices=("run", "delay"), help="put plot, tables and JSON into docs/"
+    )
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.serve:

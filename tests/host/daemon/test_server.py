@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 from hueflight.daemon import server
 from hueflight.daemon.config import DaemonConfig, ServerConfig
 
-PATIENCE_S = 0.4
+PATIENCE_S = 1.0
 LONGER_S = 3 * PATIENCE_S
 WAIT_S = 20.0
 HEAD = "{} HTTP/1.1\r\nHost: here\r\n"
@@ -132,7 +132,7 @@ def test_a_long_answer_is_finished(port: int) -> None:
         assert answer(sock, b"0\r\n\r\n").count(b"part ") == 6
 
 
-@pytest.mark.parametrize("before", [0, 1, 3])
+@pytest.mark.parametrize("before", [0, 4])
 @pytest.mark.parametrize("body", [False, True])
 def test_a_request_that_does_not_come_in_is_hung_up_on(port: int, before: int, body: bool) -> None:
     """The first one of a connection or a later one, in its header or in its body."""
@@ -141,7 +141,7 @@ def test_a_request_that_does_not_come_in_is_hung_up_on(port: int, before: int, b
         for _ in range(before):
             sock.sendall(whole.encode() + b"y" * 400)
             assert answer(sock, b"y" * 400).startswith(b"HTTP/1.1 200")
-            time.sleep(PATIENCE_S / 2)
+            time.sleep(0.4 * PATIENCE_S)
         if body:
             sock.sendall(whole.encode())
         assert trickled(sock, b"x" * 200)

@@ -46,7 +46,8 @@ class Picture:
     ----------
     number : counts pictures from 1.
     kind : of the run.
-    counts : the histogram behind it, (row, col, code).
+    counts : the histogram behind it, (row, col, code). Its memory serves again when nobody holds
+        this array; a view of it does not hold it.
     image : reconstructed, None without a calibration.
     photons : (row, col).
     frames : behind it.
@@ -214,7 +215,7 @@ class Film:
         self._change_sigma, self._threads = change_sigma, threads
         self._video: Video | None = None
         self._frames = 0
-        self._begun_s = self._latest_s = 0.0
+        self._latest_s = 0.0
 
     def next(self, counts: Counts, calibration: Calibration, frames: int) -> xr.Dataset:
         """Image of the next histogram; every pixel is fitted where the kept fits know less."""
@@ -222,8 +223,7 @@ class Film:
         video = self._video
         if video is None or video.calibration is not calibration or frames > GROWTH * self._frames:
             video = Video(calibration, change_sigma=self._change_sigma, threads=self._threads)
-            self._video, self._frames, self._begun_s = video, frames, now
-            self._latest_s = now
+            self._video, self._frames = video, frames
         due = self._due(calibration.usable.shape, now)
         self._latest_s = now
         return video.next(counts, due=due)
@@ -232,7 +232,7 @@ class Film:
         """Pixels whose turn has come since the latest picture."""
         due = np.zeros(shape, bool)
         per_s = due.size / REFRESH_S
-        first, stop = (int(per_s * (at - self._begun_s)) for at in (self._latest_s, now))
+        first, stop = int(per_s * self._latest_s), int(per_s * now)
         due.flat[np.arange(first, min(stop, first + due.size)) % due.size] = True
         return due
 

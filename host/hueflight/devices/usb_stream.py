@@ -138,7 +138,8 @@ class UsbStream:
     def _leave_room(self) -> None:
         """Give up one transfer: messages to the camera take of the same memory."""
         before = self._under_way
-        self._all[-2].cancel()  # the last one was refused
+        with contextlib.suppress(usb1.USBError):  # gone: the event thread will say so
+            self._all[-2].cancel()  # the last one was refused
         deadline = time.monotonic() + _CANCEL_S
         while self._under_way == before and time.monotonic() < deadline:
             self._context.handleEventsTimeout(_POLL_S)

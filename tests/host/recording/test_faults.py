@@ -204,6 +204,39 @@ def test_the_disk_is_waited_for_beside_the_writing(
         assert list(recording.packets()) == packets
 
 
+@pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="this system takes no such advice")
+def test_what_the_disk_has_leaves_the_cache(
+    tmp_path: Path, small: Make, frames: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of each segment, once, and only after it was waited for."""
+    told: list[tuple[int, int, int]] = []
+    synced: dict[int, int] = {}
+    fsync = os.fsync
+
+    def wait(fd: int) -> None:
+        fsync(fd)
+        synced[os.fstat(fd).st_ino] = os.fstat(fd).st_size
+
+    def forget(fd: int, begin: int, size: int, advice: int) -> None:
+        assert advice == os.POSIX_FADV_DONTNEED
+        assert begin + size <= synced[os.fstat(fd).st_ino]
+        told.append((os.fstat(fd).st_ino, begin, begin + size))
+
+    monkeypatch.setattr(os, "fsync", wait)
+    monkeypatch.setattr(os, "posix_fadvise", forget)
+    with RecordingWriter(
+        tmp_path / "run.mcap", small(), chunk_bytes=500, settle_bytes=4000, segment_bytes=20_000
+    ) as writer:
+        write_all(writer, frames(300))
+    segments = list(tmp_path.iterdir())
+    assert len(segments) > 2
+    for segment in segments:
+        parts = [part for inode, *part in told if inode == segment.stat().st_ino]
+        ends = [0, *(end for _, end in parts)]
+        assert [begin for begin, _ in parts] == ends[:-1]
+        assert ends[-1] == segment.stat().st_size
+
+
 def test_a_disk_that_fails_amid_a_segment(
     sync: SlowSync, tmp_path: Path, small: Make, frames: Make
 ) -> None:

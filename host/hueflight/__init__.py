@@ -3,9 +3,9 @@
 from hueflight.calibration import Calibration, calibrate
 from hueflight.color import color_picture
 from hueflight.errors import HueflightError
-from hueflight.instrument import Instrument
-from hueflight.reconstruction.alternated import reconstruct_alternated
+from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
+from hueflight.reconstruction.interleaved import reconstruct_interleaved
 from hueflight.reconstruction.reconstruct import reconstruct
 from hueflight.reconstruction.uncertainty import reflectance_interval
 
@@ -17,7 +17,7 @@ __all__ = [
     "color_picture",
     "depth_bound",
     "reconstruct",
-    "reconstruct_alternated",
+    "reconstruct_interleaved",
     "reflectance_bound",
     "reflectance_interval",
 ]

@@ -9,7 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 import hueflight as hf
+from hueflight.fit.solver import compiled_kernel
 from hueflight.reconstruction.bounds import expected_shares
+from support.faulty_rig import FaultyRig
 
 Draw = Callable[..., NDArray[np.uint32]]
 
@@ -58,3 +60,28 @@ def draw() -> Draw:
         return histogram
 
     return counts
+
+
+@pytest.fixture
+def compiled_fit() -> None:
+    """The compiled fit is there, or the test is skipped."""
+    if compiled_kernel() is None:
+        pytest.skip("no compiled fit was built")
+
+
+@pytest.fixture(scope="session")
+def fast(small: Callable[..., hf.Instrument]) -> hf.Instrument:
+    """Few pixels, two thousand frames a second."""
+    return small(rows=6, cols=8, frame_rate_hz=2000.0, exposure_ms=0.2)
+
+
+@pytest.fixture
+def rig(fast: hf.Instrument) -> FaultyRig:
+    """A simulated rig whose faults a test switches on."""
+    return FaultyRig(fast)
+
+
+@pytest.fixture(scope="session")
+def paper() -> hf.Instrument:
+    """The published instrument."""
+    return hf.Instrument.load("paper")

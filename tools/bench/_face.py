@@ -16,12 +16,12 @@ from scipy.ndimage import uniform_filter
 
 import hueflight as hf
 from hueflight.calibration import Calibration
-from hueflight.calibration.templates import Templates
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.few_photons import photons_of
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.model.waveforms import Templates
 from hueflight.reconstruction.joint import search_range_ns
-from hueflight.reconstruction.pooling import lag_likelihood
-from hueflight.reconstruction.slots import tables_for
+from hueflight.reconstruction.pooled.estimate import photons_of
+from hueflight.reconstruction.pooled.kernels import lag_likelihood
+from hueflight.reconstruction.pooled.tables import tables_for
 
 FACE = Path(__file__).resolve().parents[3] / "shared" / "data" / "photons" / "data_face.mat"
 STEP_NS = 0.008

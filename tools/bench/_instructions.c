@@ -5,11 +5,11 @@
  * `measured_scan` and `measured_count` are the functions to collect (--toggle-collect). */
 #include <stdio.h>
 
-#include "_wire.h"
-#include "_crc32c.h"
-#include "_scan.h"
-#include "_rows.h"
-#include "_count.h"
+#include "wire.h"
+#include "crc32c.h"
+#include "scan.h"
+#include "rows.h"
+#include "count.h"
 
 __attribute__((noinline)) static size_t measured_scan(Scan *scan) { return scan_packets(scan, 0, 1); }
 __attribute__((noinline)) static int measured_count(Count *count, size_t chunks)

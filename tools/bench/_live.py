@@ -21,7 +21,7 @@ from hueflight.errors import RecordingError
 from hueflight.ingest import HistogramStream
 from hueflight.ingest.kernels import choose
 from hueflight.ingest.scanner import Scanner
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.recording import RecordingWriter, open_recording
 
 PIECE = 1 << 20

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 import hueflight as hf
 from hueflight.analysis import delta_e_2000, lab
 from hueflight.color import SpectralModel, tristimulus
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.spectra import WAVELENGTH_NM, band_weights, reflectance
 from hueflight.reconstruction.bounds import bounds, expected_shares, fisher_information
 from hueflight.reconstruction.uncertainty import reflectance_interval
-from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights, reflectance
 
 ROWS = 32  #: each row of an image has its own distance, each column its own photons
 DISTANCE_M = 1.0  #: of the reference

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from phasorpy.phasor import phasor_from_signal
 
 import hueflight as hf
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.fit import Switches
-from hueflight.reconstruction.skips import NO_SKIPS, Skips
+from hueflight.fit.reference import FitOptions
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.reconstruction.options import NO_SKIPS, Skips
 
 DOCS = Path(__file__).parents[2] / "docs" / "results"
 TAILS_NS = (0.0, 3.0, 6.0)
@@ -72,8 +72,8 @@ def phasor(histogram: NDArray[np.uint32], calibration: hf.Calibration) -> Estima
 CONTENDERS: dict[str, Estimator] = {
     "joint": joint,
     "joint, no skips": joint_with(NO_SKIPS),
-    "joint, rough bins first": joint_with(Skips(switches=Switches(rough=True))),
-    "joint, no posterior": joint_with(Skips(switches=Switches(posterior=False))),
+    "joint, rough bins first": joint_with(Skips(switches=FitOptions(rough=True))),
+    "joint, no posterior": joint_with(Skips(switches=FitOptions(posterior=False))),
     "joint, until 3 cm": joint_with(Skips(depth_target=0.03)),
     "paper": paper,
     "PhasorPy phase": phasor,

@@ -20,7 +20,7 @@ import numpy as np
 import hueflight as hf
 from hueflight import simulator
 from hueflight.batch import BatchReport, reconstruct_many
-from hueflight.captures import write_counts
+from hueflight.importers.captures import write_counts
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ import numpy as np
 from _daemon_report import into_documentation, plot, tables, thinned
 
 from hueflight.ingest import accumulate
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.recording import open_recording
 from hueflight.recording.layout import segment_files
 
@@ -64,7 +64,7 @@ def played(name: str, rate_hz: float) -> Instrument:
 
 def brightened(instrument: Instrument, occupancy: float) -> Instrument:
     """An instrument whose exposures are as long as the scene needs for a mean occupancy."""
-    from hueflight.devices.frame_bank import simulated_packets
+    from hueflight.emulation.frame_bank import simulated_packets
 
     def exposed(exposure_ms: float) -> Instrument:
         sensor = msgspec.structs.replace(instrument.sensor, exposure_ms=exposure_ms)
@@ -88,10 +88,11 @@ def serve(arguments: argparse.Namespace) -> None:
     from hueflight.daemon.config import DaemonConfig, ServerConfig
     from hueflight.daemon.logs import configure
     from hueflight.daemon.server import serve as run
-    from hueflight.devices import Camera, CameraModel, FrameBank, Rig
-    from hueflight.devices.frame_bank import simulated_packets
-    from hueflight.devices.lights import CaptureKind
-    from hueflight.devices.model_ports import ModelStream, ModelTransport
+    from hueflight.devices import Camera, Rig
+    from hueflight.devices.illumination import CaptureKind
+    from hueflight.emulation import CameraModel, FrameBank
+    from hueflight.emulation.frame_bank import simulated_packets
+    from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
 
     folder: Path = arguments.serve
     drawing = Instrument.load(arguments.instrument)
@@ -107,7 +108,7 @@ def serve(arguments: argparse.Namespace) -> None:
     )
     emulated = 0.0
 
-    class TimedStream(ModelStream):
+    class TimedStream(SimulatedStream):
         def read(self, timeout_s: float, /) -> bytes:
             nonlocal emulated
             before = time.thread_time()
@@ -135,7 +136,7 @@ def serve(arguments: argparse.Namespace) -> None:
 
     def connect() -> Rig:
         camera = Camera(
-            ModelTransport(model.handle), lambda size: TimedStream(model, size), simulated=True
+            SimulatedTransport(model.handle), lambda size: TimedStream(model, size), simulated=True
         )
         return Rig(camera, Targets())
 

@@ -27,11 +27,11 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 import hueflight as hf
 from hueflight import simulator
-from hueflight.histograms import frames_per_pixel
-from hueflight.reconstruction import few_photons
+from hueflight.model.histograms import frames_per_pixel
+from hueflight.model.schedules import Schedule, ambiguity, design_schedules, unambiguous_range
 from hueflight.reconstruction.bounds import expected_shares
+from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.quality import Quality
-from hueflight.schedules import Schedule, ambiguity, design_schedules, unambiguous_range
 from hueflight.simulator.captures import Kind
 
 mpl.use("agg")
@@ -292,7 +292,7 @@ def mislocked(schedules: tuple[Schedule, ...], photons: float, share: float) -> 
                     counts[0], calibrations[0], depth_range=(0.0, CIRCLE * (1 - 1e-9))
                 )
             else:
-                image = hf.reconstruct_alternated(counts, calibrations)
+                image = hf.reconstruct_interleaved(counts, calibrations)
             far = [
                 np.abs((image[name].values - depth + CIRCLE / 2) % CIRCLE - CIRCLE / 2) > 1.9
                 for name in ("depth", "other_depth")

@@ -33,7 +33,7 @@ from _measure import (
 
 from hueflight.ingest import accumulate
 from hueflight.ingest.kernels import available
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FRAMES = 620  # one picture of thirty per second

@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 
 import hueflight as hf
 from hueflight.calibration import Calibration
+from hueflight.fit import solver as kernels
+from hueflight.fit.reference import FitOptions
 from hueflight.ingest import accumulate
-from hueflight.reconstruction import kernels, paper, paper_compiled
+from hueflight.reconstruction import paper
+from hueflight.reconstruction import paper_kernel as paper_compiled
 from hueflight.reconstruction.bounds import expected_shares
-from hueflight.reconstruction.fit import Switches
-from hueflight.reconstruction.from_packets import image_of_packets
-from hueflight.reconstruction.joint import plan_for, search_range_ns
-from hueflight.reconstruction.skips import NO_SKIPS, Skips
+from hueflight.reconstruction.joint import search_range_ns, tables_for_calibration
+from hueflight.reconstruction.options import NO_SKIPS, Skips
+from hueflight.reconstruction.packets import reconstruct_packets
 from hueflight.reconstruction.video import Video
 
 IMAGES_PER_SECOND = 30
@@ -77,7 +79,7 @@ def show(title: str, seconds: dict[str, float], against: str) -> None:
 
 def methods(calibration: Calibration) -> None:
     """Kernels by photons, and whole images."""
-    plan = plan_for(calibration, search_range_ns(calibration, None))
+    plan = tables_for_calibration(calibration, search_range_ns(calibration, None))
     offsets = calibration.pixel_delay_ns.ravel()
     histograms = {
         (photons, background): drawn(photons, background)
@@ -138,8 +140,8 @@ def skips(calibration: Calibration) -> None:
     contenders: dict[str, Callable[[], object]] = {
         "all skips off": image(full, skips=NO_SKIPS),
         "all skips, nothing to skip": image(full),
-        "rough steps on": image(full, skips=Skips(switches=Switches(rough=True))),
-        "settling off": image(full, skips=Skips(switches=Switches(settle=False))),
+        "rough steps on": image(full, skips=Skips(switches=FitOptions(rough=True))),
+        "settling off": image(full, skips=Skips(switches=FitOptions(settle=False))),
         "depth target met everywhere": image(full, skips=Skips(depth_target=2 * known)),
         "region: a tenth": image(full, region=tenth),
         "bands: three of nine": image(full, bands=[1, 4, 7]),
@@ -173,7 +175,7 @@ def fused(calibration: Calibration) -> None:
                 )
             )
             contenders[f"{name}, packets to image, {threads} threads"] = (
-                lambda data=packets, threads=threads: image_of_packets(
+                lambda data=packets, threads=threads: reconstruct_packets(
                     data, calibration, out=work, threads=threads
                 )
             )

@@ -31,7 +31,7 @@ from hueflight_protocol import Frame, PacketParser, crc32c, encode_frame
 from hueflight_protocol.wire import CHUNK_WORD, FRAME_HEADER, MAGIC
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-INGEST = ROOT / "host" / "hueflight" / "ingest"
+INGEST = ROOT / "host" / "hueflight" / "ingest" / "_c"
 BUILD = ROOT / "build" / "fuzz"
 CORPUS = Path(__file__).with_name("corpus.zip")
 REPORTED = ("packets", "frames", "aborted", "repeated", "damaged", "skipped_bytes", "missing")
@@ -45,7 +45,7 @@ def build_sanitized() -> Path:
     library = BUILD / "_kernels.abi3.so"
     flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-shared"]
     include = f"-I{sysconfig.get_path('include')}"
-    source = str(INGEST / "_kernels.c")
+    source = str(INGEST / "kernels.c")
     subprocess.run(["gcc", *flags, "-fPIC", include, source, "-o", str(library)], check=True)
     return library
 

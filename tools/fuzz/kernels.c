@@ -6,12 +6,12 @@
  * AddressSanitizer sees any byte beyond. Besides, what is counted must add up. */
 #include <stdio.h>
 
-#include "_wire.h"
-#include "_crc32c.h"
-#include "_scan.h"
-#include "_rows.h"
+#include "wire.h"
+#include "crc32c.h"
+#include "scan.h"
+#include "rows.h"
 #define CODE_WIDTHS(X) X(1) X(2) X(4) X(7) X(8) X(9) X(13) /* those of GEOMETRIES */
-#include "_count.h"
+#include "count.h"
 
 enum { OPTIONS = 4, OTHERS = 3 };
 enum { FINAL = 1, MEND = 2, WIDE = 4 };

@@ -23,7 +23,7 @@ from hueflight_protocol import Event, PacketHeader, encode_event, encode_frame
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SOURCE = Path(__file__).with_suffix(".c")
-HEADERS = ROOT / "host" / "hueflight" / "ingest"
+HEADERS = ROOT / "host" / "hueflight" / "ingest" / "_c"
 CORPUS = SOURCE.with_name("corpus.zip")
 BUILD = ROOT / "build" / "fuzz"
 LONGEST = 4096  # bytes of an input

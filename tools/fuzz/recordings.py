@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 
 from hueflight.errors import RecordingError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.recording import RecordingWriter, open_recording, recover
 from hueflight_protocol import encode_frame
 

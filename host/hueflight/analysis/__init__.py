@@ -1,12 +1,12 @@
 """What people ask of images: regions, cuts, differences, series, libraries, transmittance."""
 
-from hueflight.analysis.color_difference import delta_e_2000, lab
 from hueflight.analysis.comparison import compare, spectral_angle
 from hueflight.analysis.library import SpectralLibrary, match
 from hueflight.analysis.profiles import profile
 from hueflight.analysis.regions import parse_region, region_spectra, reliable
 from hueflight.analysis.series import stack, trend
 from hueflight.analysis.transmittance import transmittance
+from hueflight.color.color_difference import delta_e_2000, lab
 
 __all__ = [
     "SpectralLibrary",

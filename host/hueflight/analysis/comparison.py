@@ -9,7 +9,7 @@ from scipy.special import chdtrc, ndtr
 
 from hueflight.analysis.regions import reliable
 from hueflight.errors import HueflightError
-from hueflight.images import finite
+from hueflight.files.image_schema import finite
 
 
 def compare(

@@ -10,14 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hueflight.analysis.color_difference import delta_e_2000, lab
 from hueflight.analysis.comparison import spectral_angle
 from hueflight.color import SpectralModel, tristimulus
+from hueflight.color.color_chart import PATCHES, patch_reflectances
+from hueflight.color.color_difference import delta_e_2000, lab
 from hueflight.color.recovery import NODES_NM
 from hueflight.errors import FileFormatError, HueflightError
-from hueflight.instrument import Instrument
-from hueflight.simulator.colorchecker import PATCHES, patch_reflectances
-from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights
+from hueflight.model.instrument import Instrument
+from hueflight.model.spectra import WAVELENGTH_NM, band_weights
 
 NOISE = 0.01  #: deviation of band values for which the colour estimate is balanced
 

@@ -6,7 +6,7 @@ import xarray as xr
 
 from hueflight.analysis.regions import reliable
 from hueflight.errors import HueflightError
-from hueflight.images import finite
+from hueflight.files.image_schema import finite
 
 
 def profile(

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.errors import HueflightError
-from hueflight.images import SERIES_DIM, finite
+from hueflight.files.image_schema import SERIES_DIM, finite
 from hueflight.reconstruction.quality import Quality
 
 #: mask (row, col), or a pair of slices

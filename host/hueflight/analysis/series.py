@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from hueflight.errors import HueflightError
-from hueflight.images import SERIES_DIM, finite
+from hueflight.files.image_schema import SERIES_DIM, finite
 
 SHARED = ("instrument", "instrument_fingerprint")  #: must agree within a series
 

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from hueflight.errors import HueflightError
-from hueflight.images import instrument_of, require_image
-from hueflight.instrument import Instrument
+from hueflight.files.image_schema import instrument_of, require_image
+from hueflight.model.instrument import Instrument
 
 
 def transmittance(image: xr.Dataset, /, *, instrument: Instrument | None = None) -> xr.Dataset:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hueflight.batch.job import Job, Outcome, work
 from hueflight.errors import BatchError
-from hueflight.export.staging import optional
+from hueflight.files.atomic import optional
 
 CONNECT_SECONDS = 15
 

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hueflight.calibration import Calibration
-from hueflight.captures import read_capture
 from hueflight.errors import FileFormatError, HueflightError
 from hueflight.export.description import calibration_origin, describe
-from hueflight.export.seal import check_seal
-from hueflight.export.staging import PARTIAL_SUFFIX
 from hueflight.export.stores import write_zarr
+from hueflight.files.atomic import PARTIAL_SUFFIX
+from hueflight.files.checksums import check_seal
+from hueflight.importers.captures import read_capture
 from hueflight.reconstruction.reconstruct import reconstruct
 from hueflight.recording.layout import segment_files
 

@@ -2,8 +2,8 @@
 
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.from_captures import calibrate, measured_widths
-from hueflight.calibration.templates import Templates
-from hueflight.calibration.windows import PulseWindow, find_windows, window_sums
+from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
+from hueflight.model.waveforms import Templates
 
 __all__ = [
     "Calibration",

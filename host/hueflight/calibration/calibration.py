@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration.delays import centroid_half_width_bins
-from hueflight.calibration.emitters import Emission
-from hueflight.calibration.templates import Templates
-from hueflight.calibration.windows import PulseWindow
+from hueflight.calibration.pulse_windows import PulseWindow
 from hueflight.errors import CalibrationError
-from hueflight.instrument import Instrument
-from hueflight.timebins import TimeBins
+from hueflight.model.emission import Emission
+from hueflight.model.instrument import Instrument
+from hueflight.model.time_bins import TimeBins
+from hueflight.model.waveforms import Templates
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration.defects import find_hot
-from hueflight.calibration.shrinkage import shrunk
-from hueflight.calibration.templates import Templates
-from hueflight.instrument import Instrument
-from hueflight.reconstruction.correlation import correlate, peak_centroid
-from hueflight.reconstruction.kernels import fit_pixels
-from hueflight.reconstruction.plan import View, make_plan
-from hueflight.timebins import TimeBins
+from hueflight.calibration.empirical_bayes import shrunk
+from hueflight.fit.correlation import correlate, peak_centroid
+from hueflight.fit.solver import fit_pixels
+from hueflight.fit.tables import ScheduleView, make_tables
+from hueflight.model.instrument import Instrument
+from hueflight.model.time_bins import TimeBins
+from hueflight.model.waveforms import Templates
 
 CENTROID_HALF_WIDTH = 0.9  #: half the centroid's window per FWHM of the pulses; measured best
 
@@ -73,8 +73,8 @@ def refined_delays(
     A reference's noise would otherwise be part of every depth measured against it.
     """
     shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
-    plan = make_plan(
-        [View(bins, templates)],
+    plan = make_tables(
+        [ScheduleView(bins, templates)],
         shortest_fwhm_ns=shortest_ns,
         brightness=instrument.band_brightness(),
         search_ns=(-shortest_ns, shortest_ns),

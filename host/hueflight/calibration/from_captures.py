@@ -12,23 +12,23 @@ from numpy.typing import ArrayLike, NDArray
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead, find_hot_in_dark
 from hueflight.calibration.delays import align, refined_delays
-from hueflight.calibration.emitters import Emission
-from hueflight.calibration.shrinkage import shrunk
-from hueflight.calibration.templates import Templates
-from hueflight.calibration.waveforms import (
+from hueflight.calibration.empirical_bayes import shrunk
+from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
+from hueflight.calibration.waveform_estimation import (
     TrainModel,
     brightness_of,
     shared_out,
     templates_from_bands,
     templates_from_train,
 )
-from hueflight.calibration.windows import PulseWindow, find_windows, window_sums
 from hueflight.errors import CalibrationError
-from hueflight.histograms import check_histogram, frames_per_pixel
-from hueflight.instrument import Instrument
-from hueflight.reconstruction.pileup import lost_photons_factor, photons_per_period, unshadowed
-from hueflight.reconstruction.resolution import resolved
-from hueflight.timebins import TimeBins
+from hueflight.model.emission import Emission
+from hueflight.model.histograms import check_histogram, frames_per_pixel
+from hueflight.model.instrument import Instrument
+from hueflight.model.pileup import coates_correction, lost_photons_factor, photons_per_period
+from hueflight.model.time_bins import TimeBins
+from hueflight.model.undersampling import resolved
+from hueflight.model.waveforms import Templates
 
 HOT_IN_FLAT = 2.0  #: times the median count under steady light that only a hot pixel reaches
 
@@ -183,7 +183,7 @@ def _steady_light(flat: ArrayLike, instrument: Instrument, bins: TimeBins) -> ND
     steady = photons <= HOT_IN_FLAT * np.median(photons[photons > 0])
     if frames is not None:
         steady &= photons < frames
-        light = unshadowed(light, photons_per_period(photons, frames, instrument))
+        light = coates_correction(light, photons_per_period(photons, frames, instrument))
     return light[steady] if steady.any() else light.reshape(-1, bins.count)
 
 
@@ -194,7 +194,7 @@ def _arrived(
     if frames is None:
         return light
     hits = light.sum(axis=-1, dtype=np.float64)
-    whole = unshadowed(light, photons_per_period(hits, frames, instrument))
+    whole = coates_correction(light, photons_per_period(hits, frames, instrument))
     return (whole * lost_photons_factor(hits, frames)[..., None]).astype(np.float32)
 
 

@@ -19,12 +19,12 @@ import zarr
 from numpy.typing import NDArray
 
 from hueflight.calibration.calibration import Calibration
-from hueflight.calibration.emitters import Emission
-from hueflight.calibration.templates import Templates
-from hueflight.calibration.windows import PulseWindow
+from hueflight.calibration.pulse_windows import PulseWindow
 from hueflight.errors import CalibrationError, InstrumentError
-from hueflight.instrument import Instrument
-from hueflight.timebins import TimeBins
+from hueflight.model.emission import Emission
+from hueflight.model.instrument import Instrument
+from hueflight.model.time_bins import TimeBins
+from hueflight.model.waveforms import Templates
 
 FORMAT = "hueflight calibration"
 FORMAT_NUMBER = 1

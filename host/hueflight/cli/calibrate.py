@@ -9,10 +9,10 @@ import numpy as np
 from cyclopts import Parameter
 
 from hueflight.calibration import calibrate as calibrate_captures
-from hueflight.captures import read_capture
 from hueflight.cli.app import app
 from hueflight.cli.output import progress, show
-from hueflight.instrument import Instrument
+from hueflight.importers.captures import read_capture
+from hueflight.model.instrument import Instrument
 from hueflight.progress import task
 
 

@@ -11,18 +11,18 @@ from cyclopts import Parameter
 from rich.live import Live
 from rich.table import Table
 
+from hueflight.acquisition.plan import CaptureError, RunPlan
+from hueflight.acquisition.precision_stop import PrecisionStop
+from hueflight.acquisition.runner import Acquisition
+from hueflight.acquisition.snapshot import Snapshot
+from hueflight.acquisition.summary import write_summary
 from hueflight.calibration import Calibration
-from hueflight.capture.acquisition import Acquisition
-from hueflight.capture.plan import CaptureError, RunPlan
-from hueflight.capture.snapshot import Snapshot
-from hueflight.capture.summary import write_summary
-from hueflight.capture.until import Until
 from hueflight.cli.app import app, errors
 from hueflight.cli.output import show
 from hueflight.devices.choice import choose_rig
-from hueflight.devices.lights import GUIDANCE, CaptureKind
+from hueflight.devices.illumination import GUIDANCE, CaptureKind
 from hueflight.errors import HueflightError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.stopping import StopRule
 
 CONNECT_S = 10.0
@@ -139,7 +139,7 @@ def until_of(
     depth_std: float | None,
     reflectance_std: float | None,
     share: float,
-) -> Until | None:
+) -> PrecisionStop | None:
     """What must be known for a capture to end, or None if nothing is asked.
 
     Raises
@@ -159,7 +159,7 @@ def until_of(
         raise CaptureError("how well pixels are known is told by a calibration: --calibration")
     known = Calibration.load(calibration)
     known.require(instrument)
-    return Until(rule, known)
+    return PrecisionStop(rule, known)
 
 
 class _ctrl_c:  # noqa: N801 - reads as what it handles

@@ -12,11 +12,11 @@ from cyclopts import Parameter
 
 from hueflight.batch import BatchReport, reconstruct_many
 from hueflight.calibration import Calibration
-from hueflight.captures import read_capture
 from hueflight.cli.app import EXIT_FAILED, app
 from hueflight.cli.output import progress, show
 from hueflight.errors import HueflightError
 from hueflight.export import describe, write_zarr
+from hueflight.importers.captures import read_capture
 from hueflight.progress import Progress, task
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reconstruct import reconstruct as reconstruct_counts

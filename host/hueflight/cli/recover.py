@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from hueflight.cli.app import app
 from hueflight.cli.output import show
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.recording import recover as recover_recording
 
 

@@ -8,7 +8,7 @@ import msgspec
 
 from hueflight.cli.app import app, errors
 from hueflight.errors import HueflightError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 
 @app.command

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 from hueflight import simulator
-from hueflight.captures import write_counts
 from hueflight.cli.app import app
 from hueflight.cli.output import progress, show
 from hueflight.errors import SceneError
-from hueflight.instrument import Instrument
+from hueflight.importers.captures import write_counts
+from hueflight.model.instrument import Instrument
 from hueflight.progress import task, tracked
 from hueflight.recording import RecordingWriter
 

@@ -6,13 +6,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hueflight.calibration.emitters import Emission
+from hueflight.color.display import fill_missing, three_band_rgb
 from hueflight.color.observer import encoded, linear_of
 from hueflight.color.recovery import SpectralModel
-from hueflight.display import fill_missing, three_band_rgb
 from hueflight.errors import HueflightError
-from hueflight.images import instrument_of
-from hueflight.instrument import Instrument
+from hueflight.files.image_schema import instrument_of
+from hueflight.model.emission import Emission
+from hueflight.model.instrument import Instrument
 
 VISIBLE_NM = (400.0, 700.0)
 LEAST_BANDS = 3  #: fewer visible bands can't tell colours apart

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hueflight.calibration.emitters import Emission
 from hueflight.color.observer import Illuminant, tristimulus
 from hueflight.errors import HueflightError
-from hueflight.instrument import Instrument
+from hueflight.model.emission import Emission
+from hueflight.model.instrument import Instrument
 
 NODES_NM = np.arange(300.0, 1101.0, 5.0)  #: where a spectrum is sampled
 #: Prior of a reflectance relative to its mean over the bands: a Matérn-3/2 process (continuous,

@@ -18,21 +18,21 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp
 
-from hueflight.capture.plan import CaptureError
+from hueflight.acquisition.plan import CaptureError
+from hueflight.daemon.access import Guard
 from hueflight.daemon.config import DaemonConfig
-from hueflight.daemon.files import FileNameError
-from hueflight.daemon.guard import Guard
 from hueflight.daemon.live import Hub
 from hueflight.daemon.metrics import make_registry, render
 from hueflight.daemon.openapi import describe
 from hueflight.daemon.operations import OPERATIONS, Operation
+from hueflight.daemon.picture_message import encode_picture
 from hueflight.daemon.pictures import Picture
 from hueflight.daemon.pixel import PixelError
+from hueflight.daemon.recordings_folder import FileNameError
 from hueflight.daemon.service import Service
-from hueflight.daemon.wire import encode_picture
 from hueflight.devices.rig import Connect
 from hueflight.errors import HueflightError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
 TYPES = {

@@ -16,10 +16,10 @@ import msgspec
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from hueflight.daemon.guard import PROTOCOL
+from hueflight.daemon.access import PROTOCOL
+from hueflight.daemon.picture_message import encode_picture
 from hueflight.daemon.pictures import Picture
 from hueflight.daemon.service import Service
-from hueflight.daemon.wire import encode_picture
 
 STATUS_S = 0.5
 SEND_TIMEOUT_S = 15.0  #: a viewer that takes nothing for so long is let go

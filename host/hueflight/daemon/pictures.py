@@ -14,12 +14,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight.acquisition.snapshot import LiveBlock
+from hueflight.acquisition.thread_priority import ThreadPriority, adopt
 from hueflight.calibration import Calibration
-from hueflight.capture.snapshot import LiveBlock
-from hueflight.capture.urgency import Urgency, adopt
 from hueflight.errors import HueflightError
-from hueflight.ingest.table import Counts
-from hueflight.instrument import Instrument
+from hueflight.ingest.accumulator import Counts
+from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.reconstruct import METHODS, reconstruct
 from hueflight.reconstruction.video import Video
 
@@ -35,7 +35,7 @@ def live_method() -> str:
 
     Its definition in NumPy takes most of a minute for a picture of the paper's size.
     """
-    return "joint" if find_spec("hueflight.reconstruction._kernels") is not None else "paper"
+    return "joint" if find_spec("hueflight.fit._kernels") is not None else "paper"
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class Pictures:
         self._on_picture = on_picture
         self._looked_at = looked_at
         self._threads = threads
-        self._film = Film(change_sigma=change_sigma, threads=threads)
+        self._film = IncrementalFitter(change_sigma=change_sigma, threads=threads)
         self._waiting: deque[LiveBlock] = deque()
         self._window = _Window(window_blocks)
         self._changed = threading.Condition()
@@ -140,7 +140,7 @@ class Pictures:
 
     def _work(self) -> None:
         # acquisition comes first; threads that help with a picture inherit this
-        adopt(Urgency.RECONSTRUCTION)
+        adopt(ThreadPriority.RECONSTRUCTION)
         while True:
             with self._changed:
                 if not self._waiting and not self._closing:
@@ -205,7 +205,7 @@ class Pictures:
         return image
 
 
-class Film:
+class IncrementalFitter:
     """The joint fit from picture to picture: what is still need not be fitted again each time.
 
     Yet all pixels are within `REFRESH_S`, some in each picture, so that none takes much longer.

@@ -9,7 +9,7 @@ import numpy as np
 from hueflight.calibration import Calibration
 from hueflight.daemon.pictures import Picture
 from hueflight.errors import HueflightError
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.reconstruction.quality import Quality
 
 

@@ -15,7 +15,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from hueflight.daemon.app import make_app
 from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
 from hueflight.devices.rig import Connect
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
 REQUEST_S = 10.0  #: a request must have come in by then

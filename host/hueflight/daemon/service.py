@@ -11,23 +11,23 @@ from typing import Any
 
 import structlog
 
+from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
+from hueflight.acquisition.precision_stop import PrecisionStop
+from hueflight.acquisition.run import RunSettings
+from hueflight.acquisition.runner import Acquisition
+from hueflight.acquisition.snapshot import LiveBlock
+from hueflight.acquisition.summary import write_summary
 from hueflight.calibration import Calibration
-from hueflight.capture.acquisition import Acquisition
-from hueflight.capture.plan import CaptureError, RunPlan, RunResult
-from hueflight.capture.run import RunSettings
-from hueflight.capture.snapshot import LiveBlock
-from hueflight.capture.summary import write_summary
-from hueflight.capture.until import Until
-from hueflight.daemon.calibrating import Calibrating
+from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.config import DaemonConfig
-from hueflight.daemon.delays import Latencies
-from hueflight.daemon.files import FileNameError, Folder, timestamp_name
-from hueflight.daemon.palette import Palette
+from hueflight.daemon.latency import Latencies
+from hueflight.daemon.live_color import Palette
 from hueflight.daemon.pictures import Picture, Pictures
-from hueflight.daemon.rates import Rates
-from hueflight.devices.lights import GUIDANCE, CaptureKind
+from hueflight.daemon.rate_meter import Rates
+from hueflight.daemon.recordings_folder import FileNameError, Folder, timestamp_name
+from hueflight.devices.illumination import GUIDANCE, CaptureKind
 from hueflight.devices.rig import Connect
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.stopping import StopRule
 
 log = structlog.get_logger("hueflight.daemon")
@@ -96,7 +96,7 @@ class Service:
             on_block=self._on_block,
             on_event=lambda name, details: log.info(name, **details),
         )
-        self.calibrating = Calibrating(
+        self.calibrating = CalibrationJob(
             self.acquisition, config.folder / "calibrations", use=self._use
         )
         self.calibrating.load_latest(instrument)
@@ -153,12 +153,13 @@ class Service:
                 )
             name = name or timestamp_name()
             path = self.folder.fresh(name)
+            metadata = {"daemon": self.config.name} | ({"note": note} if note else {})
+            stop = (
+                None if until is None or calibration is None else PrecisionStop(until, calibration)
+            )
             plan = RunPlan(
-                kind=kind, frames=frames, seconds=seconds, path=path,
-                until=None if until is None or calibration is None else Until(until, calibration),
-                metadata={"daemon": self.config.name, "note": note} if note
-                else {"daemon": self.config.name},
-            )  # fmt: skip
+                kind=kind, frames=frames, seconds=seconds, path=path, until=stop, metadata=metadata
+            )
             plan.check()
             self._recording_name = name
         future = self._recording = self.acquisition.run(plan)

@@ -1,8 +1,7 @@
-"""Boards: the camera on USB, the illuminator on a serial line, and a simulated instrument."""
+"""Boards: the camera on USB, the illuminator on a serial line."""
 
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.camera import Camera, CameraCounters, CameraSettings
-from hueflight.devices.camera_model import CameraModel
 from hueflight.devices.errors import (
     DeviceBusyError,
     DeviceError,
@@ -13,19 +12,16 @@ from hueflight.devices.errors import (
     RequestError,
     WrongDeviceError,
 )
-from hueflight.devices.frame_bank import FrameBank
-from hueflight.devices.lights import CaptureKind, Lights, NoLights
+from hueflight.devices.illumination import CaptureKind, Illumination, NoIllumination
 from hueflight.devices.rig import Connect, Rig, camera_plugged_in, hardware, simulated
-from hueflight.devices.simulated import SimulatedInstrument
-from hueflight.devices.streams import Stream, StreamStatistics
-from hueflight.devices.transport import Transport
+from hueflight.devices.transports.interface import Transport
+from hueflight.devices.transports.stream import Stream, StreamStatistics
 
 __all__ = [
     "Board",
     "BoardIdentity",
     "Camera",
     "CameraCounters",
-    "CameraModel",
     "CameraSettings",
     "CaptureKind",
     "Connect",
@@ -35,12 +31,10 @@ __all__ = [
     "DeviceNotFoundError",
     "DevicePermissionError",
     "DeviceTimeoutError",
-    "FrameBank",
-    "Lights",
-    "NoLights",
+    "Illumination",
+    "NoIllumination",
     "RequestError",
     "Rig",
-    "SimulatedInstrument",
     "Stream",
     "StreamStatistics",
     "Transport",

@@ -12,7 +12,7 @@ from hueflight.devices.errors import (
     RequestError,
     WrongDeviceError,
 )
-from hueflight.devices.transport import Transport
+from hueflight.devices.transports.interface import Transport
 from hueflight_protocol import (
     Access,
     MessageError,

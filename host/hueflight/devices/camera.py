@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.errors import DeviceError, WrongDeviceError
-from hueflight.devices.streams import Stream, StreamStatistics
-from hueflight.devices.transport import Transport
-from hueflight.instrument import Instrument
+from hueflight.devices.transports.interface import Transport
+from hueflight.devices.transports.stream import Stream, StreamStatistics
+from hueflight.model.instrument import Instrument
 from hueflight_protocol import camera_map
 from hueflight_protocol.camera_map import BOARD
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hueflight.devices.rig import Connect, camera_plugged_in, hardware, simulated
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 NOTICE = (
     "no camera is plugged in: using the SIMULATED instrument. Pictures and recordings are marked "

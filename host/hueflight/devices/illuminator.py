@@ -9,17 +9,17 @@ from itertools import cycle
 
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.errors import DeviceError, DeviceTimeoutError
-from hueflight.devices.light_program import LightStep
-from hueflight.devices.light_schedule import (
+from hueflight.devices.pulse_schedule import (
     Capacity,
     ChannelLimit,
-    LightSchedule,
+    PulseSchedule,
     ScheduleError,
     TickSchedule,
     to_ticks,
 )
-from hueflight.devices.serial_line import BAUD, SerialPort, SerialTransport
-from hueflight.devices.transport import Transport
+from hueflight.devices.sequencer_program import ProgramStep
+from hueflight.devices.transports.interface import Transport
+from hueflight.devices.transports.serial import BAUD, SerialPort, SerialTransport
 from hueflight_protocol import illuminator_map
 from hueflight_protocol.control import MAX_WORDS, write
 from hueflight_protocol.illuminator_map import (
@@ -182,7 +182,7 @@ class Illuminator:
 
     # -- schedules ----------------------------------------------------------------------------
 
-    def load(self, schedule: LightSchedule, /, *, bank: int) -> TickSchedule:
+    def load(self, schedule: PulseSchedule, /, *, bank: int) -> TickSchedule:
         """Write a schedule into a bank that is not in use.
 
         Returns
@@ -219,7 +219,7 @@ class Illuminator:
         """Have the next train play a bank; a running program has precedence."""
         self.board.write("bank_select", value=bank)
 
-    def play(self, schedule: LightSchedule, /) -> TickSchedule:
+    def play(self, schedule: PulseSchedule, /) -> TickSchedule:
         """Load a schedule into the bank that is not in use, and have the next train play it."""
         bank = 1 - self.board.fields("bank_select")["value"]
         made = self.load(schedule, bank=bank)
@@ -281,7 +281,7 @@ class Illuminator:
 
     def run(
         self,
-        program: Sequence[LightStep],
+        program: Sequence[ProgramStep],
         /,
         *,
         advance: Advance = Advance.TRIGGERS,
@@ -396,7 +396,7 @@ class Illuminator:
             )
         return ticks
 
-    def _step(self, number: int, step: LightStep) -> tuple[int, int, int, int]:
+    def _step(self, number: int, step: ProgramStep) -> tuple[int, int, int, int]:
         channels = range(self.capacity.channels) if step.channels is None else step.channels
         for name, value, high in (
             ("count", step.count, 0xFFFFFFFF),

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hueflight.devices.errors import DeviceError
-from hueflight.devices.lights import Lights, NoLights
+from hueflight.devices.illumination import Illumination, NoIllumination
 from hueflight.errors import HueflightError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 if TYPE_CHECKING:
     from hueflight.devices.camera import Camera
@@ -26,7 +26,7 @@ class Rig:
     """
 
     camera: Camera
-    lights: Lights
+    lights: Illumination
 
     @property
     def simulated(self) -> bool:
@@ -68,7 +68,7 @@ def hardware(
 
     def connect() -> Rig:
         try:
-            from hueflight.devices.usb import open_camera
+            from hueflight.devices.transports.usb import open_camera
         except ImportError as error:
             raise DeviceError(
                 f"cameras need the package {error.name}: install hueflight[devices], or use "
@@ -76,7 +76,7 @@ def hardware(
             ) from None
         camera = open_camera(serial)
         if not illuminator or instrument is None:
-            return Rig(camera, NoLights())
+            return Rig(camera, NoIllumination())
         try:
             return Rig(camera, lights_on(illuminator, instrument))
         except DeviceError:
@@ -86,7 +86,7 @@ def hardware(
     return connect
 
 
-def lights_on(port: str, instrument: Instrument, /) -> Lights:
+def lights_on(port: str, instrument: Instrument, /) -> Illumination:
     """The illuminator on a serial port, loaded with an instrument's schedule, LEDs dark.
 
     Raises
@@ -95,11 +95,11 @@ def lights_on(port: str, instrument: Instrument, /) -> Lights:
         If the port can't be opened, no illuminator answers, or it can't drive these LEDs.
     """
     from hueflight.devices.illuminator import open_illuminator
-    from hueflight.devices.illuminator_lights import IlluminatorLights
+    from hueflight.devices.illuminator_driver import IlluminatorDriver
 
     board = open_illuminator(port)
     try:
-        return IlluminatorLights(board, instrument)
+        return IlluminatorDriver(board, instrument)
     except HueflightError as error:
         with contextlib.suppress(DeviceError):  # the first error says more
             board.close()
@@ -113,7 +113,7 @@ def lights_on(port: str, instrument: Instrument, /) -> Lights:
 def camera_plugged_in() -> bool:
     """Whether any camera is on USB; false where USB can't be looked at."""
     try:
-        from hueflight.devices.usb import find_cameras
+        from hueflight.devices.transports.usb import find_cameras
 
         return bool(find_cameras())
     except (DeviceError, ImportError):
@@ -122,7 +122,7 @@ def camera_plugged_in() -> bool:
 
 def simulated(instrument: Instrument, *, scene: str = "fig1", frames: int = 960) -> Connect:
     """How to open a simulated rig; the photons are drawn once and kept between connections."""
-    from hueflight.devices.simulated import SimulatedInstrument
+    from hueflight.emulation.simulated_rig import SimulatedInstrument
 
     model = SimulatedInstrument(instrument, scene=scene, frames=frames)
     return model.connect

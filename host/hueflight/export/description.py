@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import ExportError
-from hueflight.images import require_image
+from hueflight.files.image_schema import require_image
 
 CONVENTIONS = "CF-1.11"  #: attributes follow the Climate and Forecast metadata conventions
 

@@ -19,7 +19,7 @@ from hueflight.export.preview import write_png, write_previews
 from hueflight.export.stores import write_netcdf, write_zarr
 from hueflight.export.tables import write_csv
 from hueflight.export.tiff import write_tiff
-from hueflight.images import captures, require_image
+from hueflight.files.image_schema import captures, require_image
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hueflight.export.hdf5 import patient_file
-from hueflight.export.staging import optional, staged
-from hueflight.histograms import check_histogram, frames_per_pixel
-from hueflight.instrument import Instrument
+from hueflight.files.atomic import optional, staged
+from hueflight.model.histograms import check_histogram, frames_per_pixel
+from hueflight.model.instrument import Instrument
 
 
 def write_histogram(

@@ -11,8 +11,8 @@ import xarray as xr
 from hueflight.errors import ExportError
 from hueflight.export.description import plain_attributes
 from hueflight.export.points import image_points
-from hueflight.export.staging import optional, staged
-from hueflight.instrument import Instrument
+from hueflight.files.atomic import optional, staged
+from hueflight.model.instrument import Instrument
 
 POINT_FORMAT = 7  #: of LAS 1.4, with colour
 RESOLUTION_M = 1e-5  #: coordinates are whole multiples; a 32-bit count reaches 21 km

@@ -16,9 +16,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.export.description import band_names, plain_attributes
-from hueflight.export.staging import optional, staged
 from hueflight.export.tiff import CLASSIC_LIMIT, storable
-from hueflight.images import SERIES_DIM, captures, require_image
+from hueflight.files.atomic import optional, staged
+from hueflight.files.image_schema import SERIES_DIM, captures, require_image
 
 NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
 PIXEL_TYPES = {"float32": "float", "int32": "int32", "uint32": "uint32", "int16": "int16",

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
 from hueflight.export.hdf5 import patient_file
-from hueflight.export.staging import optional, staged
-from hueflight.instrument import Instrument
+from hueflight.files.atomic import optional, staged
+from hueflight.model.instrument import Instrument
 
 CHUNK_PHOTONS = 1 << 16
 FORMAT = {

@@ -14,8 +14,8 @@ import xarray as xr
 from hueflight.errors import ExportError
 from hueflight.export.description import plain_attributes
 from hueflight.export.points import Points, image_points
-from hueflight.export.staging import staged
-from hueflight.instrument import Instrument
+from hueflight.files.atomic import staged
+from hueflight.model.instrument import Instrument
 
 PROPERTY_TYPES = {
     "float64": "double", "float32": "float", "int32": "int", "uint32": "uint",

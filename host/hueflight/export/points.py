@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hueflight.color import color_picture
 from hueflight.errors import ExportError
 from hueflight.export.description import band_labels
-from hueflight.images import SERIES_DIM, instrument_of, require_image
-from hueflight.instrument import Instrument
+from hueflight.files.image_schema import SERIES_DIM, instrument_of, require_image
+from hueflight.model.instrument import Instrument
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.color import color_picture
-from hueflight.display import three_band_rgb
+from hueflight.color.colormap import NO_DATA, colours
+from hueflight.color.display import three_band_rgb
 from hueflight.errors import ExportError
-from hueflight.export.colormap import NO_DATA, colours
 from hueflight.export.description import band_labels, plain_attributes
-from hueflight.export.staging import optional, staged
-from hueflight.images import SERIES_DIM, require_image
+from hueflight.files.atomic import optional, staged
+from hueflight.files.image_schema import SERIES_DIM, require_image
 
 MARGIN = 12
 BAR_WIDTH = 18

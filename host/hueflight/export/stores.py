@@ -9,9 +9,9 @@ import xarray as xr
 
 from hueflight.export.description import with_conventions
 from hueflight.export.hdf5 import patient_file
-from hueflight.export.seal import seal
-from hueflight.export.staging import optional, staged
-from hueflight.images import SERIES_DIM, require_image
+from hueflight.files.atomic import optional, staged
+from hueflight.files.checksums import seal
+from hueflight.files.image_schema import SERIES_DIM, require_image
 
 
 def write_zarr(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:

@@ -12,8 +12,8 @@ import xarray as xr
 
 from hueflight.analysis.regions import Region, region_spectra
 from hueflight.export.description import band_names, band_widths_nm, plain_attributes
-from hueflight.export.staging import staged
-from hueflight.images import SERIES_DIM, require_image
+from hueflight.files.atomic import staged
+from hueflight.files.image_schema import SERIES_DIM, require_image
 
 WHOLE = "whole image"
 COLUMNS = (

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
 from hueflight.export.description import band_names, band_widths_nm, plain_attributes
-from hueflight.export.staging import optional, staged
-from hueflight.images import captures, layers, require_image
+from hueflight.files.atomic import optional, staged
+from hueflight.files.image_schema import captures, layers, require_image
 
 PAGE_NAME_TAG = 285
 CLASSIC_LIMIT = 2**32 - 2**25  #: bytes a classic TIFF can address, less room for its tags

@@ -11,8 +11,8 @@ import zarr
 from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HueflightError
-from hueflight.export.staging import optional
-from hueflight.instrument import Instrument
+from hueflight.files.atomic import optional
+from hueflight.model.instrument import Instrument
 
 COUNTS = "histogram"  #: name that is taken where there are several arrays
 DESCRIPTIONS = ("instrument_description", "instrument")  #: where files keep it, as JSON

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, InstrumentError
-from hueflight.histograms import check_histogram
 from hueflight.importers.arrays import read_array
 from hueflight.importers.tcspc import read_ptu, read_sdt
-from hueflight.instrument import Instrument
+from hueflight.model.histograms import check_histogram
+from hueflight.model.instrument import Instrument
 
 AXES = ("row", "col", "code")
 ARRAY_ENDINGS = (".npy", ".npz", ".zarr", ".h5", ".hdf5", ".hdf")

@@ -7,9 +7,9 @@ from pathlib import Path
 import xarray as xr
 
 from hueflight.errors import ExportError, FileFormatError, ImageError
-from hueflight.export.seal import check_seal
-from hueflight.export.staging import optional
-from hueflight.images import require_image
+from hueflight.files.atomic import optional
+from hueflight.files.checksums import check_seal
+from hueflight.files.image_schema import require_image
 
 ENDINGS = (".zarr", ".nc", ".nc4")
 

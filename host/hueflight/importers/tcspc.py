@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HueflightError, InstrumentError
-from hueflight.export.staging import optional
-from hueflight.instrument import Band, Instrument, Sensor, Timing
-from hueflight.timebins import TimeBins
+from hueflight.files.atomic import optional
+from hueflight.model.instrument import Band, Instrument, Sensor, Timing
+from hueflight.model.time_bins import TimeBins
 
 BIN_WIDTH_TOLERANCE = 1e-3  #: of the bin width; over a whole period it moves a pulse a bin or so
 

@@ -7,11 +7,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.errors import HistogramError, IngestError
 from hueflight.ingest import kernels as backends
+from hueflight.ingest.accumulator import (
+    Counts,
+    Overflow,
+    Table,
+    check_out,
+    check_overflow,
+    full_error,
+)
 from hueflight.ingest.kernels import Buffer, Kernels
 from hueflight.ingest.report import IngestReport
 from hueflight.ingest.scanner import Scanner, batches
-from hueflight.ingest.table import Counts, Overflow, Table, check_out, check_overflow, full_error
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 
 def accumulate(

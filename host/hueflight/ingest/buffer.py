@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from hueflight.errors import IngestError
 from hueflight.ingest.kernels import Kernels
 from hueflight.ingest.scanner import BATCH_FRAMES, Scanner
-from hueflight.instrument import Sensor
+from hueflight.model.instrument import Sensor
 from hueflight_protocol.wire import MAX_PACKET_BYTES
 
 BUFFER_BYTES = 32 << 20

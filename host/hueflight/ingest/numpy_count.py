@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.ingest.numpy_frame_scan import HITS_SHIFT, KIND_SHIFT, bitmap_bytes
 from hueflight.ingest.numpy_scan import MOST_FRAMES
-from hueflight.ingest.numpy_walk import HITS_SHIFT, KIND_SHIFT, bitmap_bytes
 from hueflight_protocol.wire import ChunkKind, dense_bytes
 
 TILE = 64  # pixels that are added to the table together or not at all

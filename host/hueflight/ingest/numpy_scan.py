@@ -14,7 +14,13 @@ import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.ingest.numpy_walk import HITS_SHIFT, KIND_SHIFT, Walked, chunk_words, walk_frames
+from hueflight.ingest.numpy_frame_scan import (
+    HITS_SHIFT,
+    KIND_SHIFT,
+    Walked,
+    chunk_words,
+    walk_frames,
+)
 from hueflight_protocol import wire
 from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER, PACKET_HEADER, PACKET_TRAILER
 

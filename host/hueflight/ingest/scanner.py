@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import IngestError
 from hueflight.ingest.kernels import STATE, Buffer, Kernels, Scanned
-from hueflight.instrument import Sensor
+from hueflight.model.instrument import Sensor
 from hueflight_protocol.wire import DEFAULT_RUN, FRAME_HEADER, MAX_CHUNKS
 
 BATCH_FRAMES = 1024  # frames counted together: few enough that their packets stay in the cache

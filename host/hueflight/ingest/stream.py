@@ -10,11 +10,11 @@ import numpy as np
 from hueflight.errors import IngestError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulate import checked_threads, frames_by_step
+from hueflight.ingest.accumulator import Counts, Overflow, Table, check_overflow
 from hueflight.ingest.buffer import BUFFER_BYTES, PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels
 from hueflight.ingest.report import IngestReport
-from hueflight.ingest.table import Counts, Overflow, Table, check_overflow
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 
 
 @dataclass(frozen=True, slots=True, eq=False)

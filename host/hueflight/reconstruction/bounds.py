@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 
 
 def fisher_information(

@@ -11,30 +11,30 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.fit import Fit
+from hueflight.fit.reference import Fit
+from hueflight.fit.solver import fit_pixels, photon_sums
+from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.model.pileup import coates_correction, photons_per_period
+from hueflight.model.undersampling import is_resolved, resolved
 from hueflight.reconstruction.image import Estimates
-from hueflight.reconstruction.kernels import fit_pixels, photon_sums
-from hueflight.reconstruction.pileup import photons_per_period, unshadowed
-from hueflight.reconstruction.plan import Plan, View, make_plan
+from hueflight.reconstruction.options import DEFAULT_SKIPS, Skips
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reflectance import reflectance_scale
-from hueflight.reconstruction.resolution import is_resolved, resolved
-from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 
-_plans: WeakKeyDictionary[Calibration, dict[tuple[float, float], Plan]] = WeakKeyDictionary()
+_plans: WeakKeyDictionary[Calibration, dict[tuple[float, float], ModelTables]] = WeakKeyDictionary()
 
 
-def plan_for(calibration: Calibration, search_ns: tuple[float, float]) -> Plan:
+def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, float]) -> ModelTables:
     """Tables for a calibration; made once and kept as long as it lives."""
     plans = _plans.setdefault(calibration, {})
     if search_ns not in plans:
         delays_ns = calibration.pixel_delay_ns[calibration.usable]
         instrument = calibration.instrument
-        plans[search_ns] = make_plan(
-            [View(calibration.bins, calibration.templates)],
+        plans[search_ns] = make_tables(
+            [ScheduleView(calibration.bins, calibration.templates)],
             shortest_fwhm_ns=min(band.pulse_fwhm_ns for band in instrument.bands),
             brightness=calibration.brightness,
             search_ns=search_ns,
@@ -103,7 +103,7 @@ def estimate(
     """
     rows, cols, bins = light.shape
     search_ns = search_range_ns(calibration, depth_range)
-    plan = plan_for(calibration, search_ns)
+    plan = tables_for_calibration(calibration, search_ns)
     flat = light.reshape(rows * cols, bins)
     if photons is None:
         photons = photon_sums(flat).reshape(rows, cols)
@@ -143,7 +143,7 @@ def fit_chosen(
     photons: NDArray[np.float64],
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
-    plan: Plan,
+    plan: ModelTables,
     *,
     skips: Skips,
     threads: int,
@@ -167,7 +167,7 @@ def fit_chosen(
     if is_resolved(instrument, calibration.bins):
         options = {"pixels": pixels, "per_period": rates, "threads": threads}
         return fit_pixels(light, delays_ns, plan, switches, **options)
-    seen = resolved(unshadowed(light[pixels], rates), instrument, calibration.bins)
+    seen = resolved(coates_correction(light[pixels], rates), instrument, calibration.bins)
     return fit_pixels(seen, delays_ns, plan, switches, threads=threads)
 
 
@@ -195,13 +195,13 @@ def in_metres(
     usable = calibration.usable
     everywhere = bool(chosen.all())
     blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
-    starved = ~(found.delay_std_ns < blind_ns)
+    low_signal = ~(found.delay_std_ns < blind_ns)
 
     def plane(values: NDArray[np.float64], *, told: bool = True) -> NDArray[np.float64]:
         """As (…, row, col), but in memory as the fit gives it; NaN where nothing is told."""
-        if told and starved.any():
+        if told and low_signal.any():
             values = values.copy()
-            values[starved] = np.nan
+            values[low_signal] = np.nan
         if everywhere:
             filled = values.reshape(rows, cols, *values.shape[1:])
         else:
@@ -215,7 +215,7 @@ def in_metres(
     depth_std = plane(np.hypot(found.delay_std_ns, known_ns)) * along_axis
     other = calibration.distance + plane(found.other_ns) * along_axis
 
-    quality = _quality(calibration, found, chosen, starved)
+    quality = _quality(calibration, found, chosen, low_signal)
     scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
@@ -250,10 +250,10 @@ def _quality(
     quality = np.zeros(chosen.shape, np.uint16)
     quality[calibration.dead] |= int(Quality.DEAD)
     quality[calibration.hot] |= int(Quality.HOT)
-    starved = calibration.usable.copy()
-    starved[chosen] = unknown
-    quality[starved] |= int(Quality.STARVED)
-    two = np.zeros_like(starved)
+    low_signal = calibration.usable.copy()
+    low_signal[chosen] = unknown
+    quality[low_signal] |= int(Quality.LOW_SIGNAL)
+    two = np.zeros_like(low_signal)
     two[chosen] = np.isfinite(found.other_ns)
     quality[two] |= int(Quality.AMBIGUOUS)
     return quality

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from hueflight.calibration import Calibration, window_sums
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.correlation import correlate, peak_centroid
+from hueflight.fit.correlation import correlate, peak_centroid
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.image import Estimates
-from hueflight.reconstruction.paper_compiled import Measured, Search, measure
+from hueflight.reconstruction.paper_kernel import Measured, Search, measure
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reflectance import reflectance_scale
 
@@ -76,10 +76,10 @@ def estimate(
         quality[usable & (known >= frames)] |= int(Quality.SATURATED)
     # no better than a guess within the range searched: a uniform guess has range/√12
     blind = 2 * search_bins(calibration) * along_axis / np.sqrt(12)
-    starved = usable & ~(depth_std < blind)
-    quality[starved] |= int(Quality.STARVED)
+    low_signal = usable & ~(depth_std < blind)
+    quality[low_signal] |= int(Quality.LOW_SIGNAL)
     for plane in (depth, depth_std, *sums):
-        plane[starved] = np.nan
+        plane[low_signal] = np.nan
 
     scale = reflectance_scale(known, frames, calibration, pileup_correction=pileup_correction)
     if range_correction:

@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HistogramError, HueflightError
-from hueflight.reconstruction import few_photons, joint, paper
-from hueflight.reconstruction.door import check_in
+from hueflight.reconstruction import joint, paper
 from hueflight.reconstruction.image import as_image
-from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.skips import (
+from hueflight.reconstruction.inputs import prepare_histogram
+from hueflight.reconstruction.options import (
     DEFAULT_SKIPS,
     Region,
     Skips,
@@ -21,6 +20,8 @@ from hueflight.reconstruction.skips import (
     leave_out,
     region_mask,
 )
+from hueflight.reconstruction.pooled import estimate as few_photons
+from hueflight.reconstruction.quality import Quality
 
 METHODS = ("joint", "paper", "pooled")
 
@@ -77,7 +78,7 @@ def reconstruct(
     if method not in METHODS:
         raise HistogramError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
     instrument = calibration.instrument
-    seen = check_in(histogram, calibration, frames)
+    seen = prepare_histogram(histogram, calibration, frames)
     counts, light, exposures = seen.counts, seen.light, seen.frames
     wanted = region_mask(region, instrument.image_shape)
     numbers = band_numbers(bands, calibration)

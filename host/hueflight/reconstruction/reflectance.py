@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
-from hueflight.reconstruction.pileup import lost_photons_factor
+from hueflight.model.pileup import lost_photons_factor
 
 TINY = 1e-30  #: exposures; fewer are none
 

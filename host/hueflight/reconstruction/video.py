@@ -17,12 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.reconstruction.door import check_in
+from hueflight.fit.solver import contrasts, remembered
 from hueflight.reconstruction.image import Estimates, as_image
-from hueflight.reconstruction.joint import fit_chosen, in_metres, plan_for, search_range_ns
-from hueflight.reconstruction.kernels import contrasts, remembered
+from hueflight.reconstruction.inputs import prepare_histogram
+from hueflight.reconstruction.joint import (
+    fit_chosen,
+    in_metres,
+    search_range_ns,
+    tables_for_calibration,
+)
+from hueflight.reconstruction.options import DEFAULT_SKIPS, Skips
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.skips import DEFAULT_SKIPS, Skips
 
 
 @dataclass
@@ -71,7 +76,7 @@ class Video:
         self.calibration = calibration
         self._change_sigma = change_sigma
         self._search_ns = search_range_ns(calibration, depth_range)
-        self._plan = plan_for(calibration, self._search_ns)
+        self._plan = tables_for_calibration(calibration, self._search_ns)
         self._corrections = {
             "range_correction": range_correction,
             "pileup_correction": pileup_correction,
@@ -101,7 +106,7 @@ class Video:
             If the histogram does not fit the instrument, or is empty.
         """
         calibration = self.calibration
-        seen = check_in(histogram, calibration, frames)
+        seen = prepare_histogram(histogram, calibration, frames)
         flat = seen.light.reshape(-1, seen.light.shape[-1])
         changed = self._differs(flat, seen.photons, seen.frames)
         if due is not None:

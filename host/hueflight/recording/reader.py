@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from hueflight.errors import RecordingError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulate import checked_threads, frames_by_step
+from hueflight.ingest.accumulator import Counts, Table
 from hueflight.ingest.buffer import BUFFER_BYTES, LEAST_BYTES, PacketBuffer
 from hueflight.ingest.kernels import STATE, Kernels
 from hueflight.ingest.report import IngestReport
-from hueflight.ingest.table import Counts, Table
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.recording.layout import INSTRUMENT, OWN_NAMES, part_path, segment_files
 from hueflight.recording.segment_reader import SegmentReader
 from hueflight_protocol.wire import FRAME_HEADER

@@ -18,7 +18,7 @@ from mcap.records import Channel, DataEnd, Header, MessageIndex, Metadata
 from hueflight.errors import InstrumentError, RecordingError
 from hueflight.ingest.buffer import PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels, choose
-from hueflight.instrument import Instrument, Sensor
+from hueflight.model.instrument import Instrument, Sensor
 from hueflight.recording.layout import (
     DESCRIPTION,
     INSTRUMENT,

@@ -17,7 +17,7 @@ from hueflight.ingest import kernels as backends
 from hueflight.ingest.buffer import PacketBuffer, pieces
 from hueflight.ingest.kernels import STATE, Kernels
 from hueflight.ingest.report import IngestReport
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.recording.layout import (
     FORMAT,
     OWN_NAMES,

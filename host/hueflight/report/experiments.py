@@ -18,7 +18,7 @@ import hueflight_protocol as protocol
 from hueflight import simulator
 from hueflight.calibration import Calibration, calibrate
 from hueflight.ingest import accumulate
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.progress import Progress, task
 from hueflight.reconstruction.bounds import depth_bound
 from hueflight.reconstruction.reconstruct import reconstruct

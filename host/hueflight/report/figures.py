@@ -8,8 +8,8 @@ from matplotlib.patches import Rectangle
 
 from hueflight.analysis import region_spectra
 from hueflight.calibration import Calibration
-from hueflight.display import three_band_rgb, wavelength_colour
-from hueflight.reconstruction.correlation import correlate, peak_centroid
+from hueflight.color.display import three_band_rgb, wavelength_colour
+from hueflight.fit.correlation import correlate, peak_centroid
 from hueflight.reconstruction.paper import search_bins
 from hueflight.report.experiments import (
     DISTANCES_ROW,

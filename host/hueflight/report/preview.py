@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from hueflight.display import three_band_rgb
-from hueflight.instrument import Instrument
+from hueflight.color.display import three_band_rgb
+from hueflight.model.instrument import Instrument
 from hueflight.report.style import DEPTH_MAP, panels, pixel_aspect, show_plane
 
 

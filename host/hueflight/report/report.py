@@ -17,7 +17,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.report import figures
 from hueflight.report.experiments import RANGE_PHOTONS, Findings, run_all

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import SceneError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.simulator.catalog import scene as make_scene
 from hueflight.simulator.light import periods_per_exposure
 from hueflight.simulator.sampling import require_codes, simulate_codes, simulate_histogram

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.color.color_chart import PATCHES, patch_reflectances
 from hueflight.errors import SceneError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
+from hueflight.model.spectra import reflectance
 from hueflight.simulator.bricks import shelf_scene, wall_scene
-from hueflight.simulator.colorchecker import PATCHES, patch_reflectances
 from hueflight.simulator.layout import Layout, Palette
 from hueflight.simulator.scene import NOTHING, Layer, Scene, illuminator_positions, trace
 from hueflight.simulator.shapes import Array
-from hueflight.simulator.spectra import reflectance
 
 
 def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:

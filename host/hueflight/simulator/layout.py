@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.model.spectra import WAVELENGTH_NM, reflectance
 from hueflight.simulator.scene import Layer
-from hueflight.simulator.spectra import WAVELENGTH_NM, reflectance
 
 
 @dataclass

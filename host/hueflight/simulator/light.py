@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import InstrumentError
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.spectra import WAVELENGTH_NM, detection, mean_detection
+from hueflight.model.time_bins import TimeBins
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings, pixels, time_bins
-from hueflight.simulator.spectra import WAVELENGTH_NM, detection, mean_detection
-from hueflight.timebins import TimeBins
 
 
 @dataclass(frozen=True)

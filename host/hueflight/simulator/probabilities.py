@@ -19,9 +19,9 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
+from hueflight.model.time_bins import TimeBins
 from hueflight.simulator.light import Rates
-from hueflight.timebins import TimeBins
 
 # Cubic interpolation of a bin's share between delays h apart errs by at most
 # (9/16)·h⁴/24·max|share''''|, and the fourth derivative of a bin's share of a pulse with Gaussian

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import SceneError
-from hueflight.instrument import Instrument
+from hueflight.model.instrument import Instrument
 from hueflight.simulator.light import Rates, expected_rates
 from hueflight.simulator.probabilities import probability_tiles
 from hueflight.simulator.scene import Scene

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import SceneError
-from hueflight.instrument import Instrument
-from hueflight.simulator.spectra import WAVELENGTH_NM, band_weights
+from hueflight.model.instrument import Instrument
+from hueflight.model.spectra import WAVELENGTH_NM, band_weights
 
 NOTHING = -1  #: surface index where a ray meets nothing
 

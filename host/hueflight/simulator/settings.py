@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import SceneError
-from hueflight.instrument import Instrument
-from hueflight.timebins import TimeBins
+from hueflight.model.instrument import Instrument
+from hueflight.model.time_bins import TimeBins
 
 
 @dataclass(frozen=True, kw_only=True)

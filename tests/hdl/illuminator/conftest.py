@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hueflight.devices.illuminator import Illuminator
-from hueflight.devices.serial_line import SerialTransport
+from hueflight.devices.transports.serial import SerialTransport
 from hueflight_hdl.designs.illuminator import IlluminatorConfig
 from hueflight_hdl.gearing.ecp5 import Ecp5Gearing
 from hueflight_hdl.pulse.config import PulseConfig

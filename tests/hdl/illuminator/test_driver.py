@@ -7,15 +7,15 @@ import pytest
 
 from hueflight.devices import RequestError, WrongDeviceError
 from hueflight.devices.illuminator import Illuminator
-from hueflight.devices.light_program import LightStep, alternate, each_alone
-from hueflight.devices.light_schedule import LightPulse, LightSchedule, ScheduleError
-from hueflight.devices.serial_line import SerialTransport
+from hueflight.devices.pulse_schedule import ChannelPulse, PulseSchedule, ScheduleError
+from hueflight.devices.sequencer_program import ProgramStep, alternate, each_alone
+from hueflight.devices.transports.serial import SerialTransport
 from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
 from hueflight_hdl.simulation.ticks import ticks_to_words
 from hueflight_protocol.illuminator_map import Advance, TriggerSource
 
 TICK_NS = 12.5  # 20 MHz, four lanes
-THREE = LightSchedule.even(3, spacing_ns=24 * TICK_NS, width_ns=8 * TICK_NS, period_ns=3200)
+THREE = PulseSchedule.even(3, spacing_ns=24 * TICK_NS, width_ns=8 * TICK_NS, period_ns=3200)
 
 
 def edges(level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +117,7 @@ def test_a_bank_in_use_can_not_be_written(driver: Illuminator, bench: Illuminato
     driver.arm(watchdog_ms=1000)
     with pytest.raises(RequestError, match="REFUSED"):
         driver.load(THREE, bank=0)
-    moved = LightSchedule(tuple((LightPulse(100.0 + 500 * k, 100),) for k in range(3)), 3200)
+    moved = PulseSchedule(tuple((ChannelPulse(100.0 + 500 * k, 100),) for k in range(3)), 3200)
     swaps = driver.counters().swaps
     driver.load(moved, bank=1)
     driver.select(1)
@@ -180,7 +180,7 @@ def test_programs(driver: Illuminator, bench: IlluminatorBench):
     """Each LED alone, by trains; then both schedules in turn by frame syncs of the camera."""
     driver.disarm()
     driver.load(THREE, bank=0)
-    moved = LightSchedule(tuple((LightPulse(50.0 + 300 * k, 100),) for k in range(3)), 3200)
+    moved = PulseSchedule(tuple((ChannelPulse(50.0 + 300 * k, 100),) for k in range(3)), 3200)
     driver.load(moved, bank=1)
     driver.select(0)
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
@@ -216,11 +216,11 @@ def test_programs(driver: Illuminator, bench: IlluminatorBench):
 
 def test_steps_that_can_not_be(driver: Illuminator):
     with pytest.raises(ScheduleError, match="5 steps: the board takes 1 to 4"):
-        driver.run([LightStep(1)] * 5)
+        driver.run([ProgramStep(1)] * 5)
     with pytest.raises(ScheduleError, match="step 0: channel = 3 is not from 0 to 2"):
-        driver.run([LightStep(1, channels=frozenset({3}))])
+        driver.run([ProgramStep(1, channels=frozenset({3}))])
     with pytest.raises(ScheduleError, match="step 1: marker = 256"):
-        driver.run([LightStep(1), LightStep(1, marker=256)])
+        driver.run([ProgramStep(1), ProgramStep(1, marker=256)])
 
 
 def test_a_software_trigger_starts_one_train(driver: Illuminator, bench: IlluminatorBench):
@@ -260,7 +260,7 @@ def test_the_trigger_out_follows(driver: Illuminator, bench: IlluminatorBench):
 
 def test_what_the_limiter_cuts_is_said(driver: Illuminator, bench: IlluminatorBench):
     """Registers written behind the driver's back, which would have refused."""
-    greedy = LightSchedule(((LightPulse(0, 90 * TICK_NS),),), 3200)
+    greedy = PulseSchedule(((ChannelPulse(0, 90 * TICK_NS),),), 3200)
     with pytest.raises(ScheduleError, match="channel 0: on for 1125 ns, the LED bears 1000 ns"):
         driver.play(greedy)
     driver.load(THREE, bank=0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hueflight.devices.illuminator import Illuminator
-from hueflight.devices.light_schedule import LightSchedule
+from hueflight.devices.pulse_schedule import PulseSchedule
 from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
 from hueflight_hdl.simulation.serial_line import line_levels
 from hueflight_protocol import (
@@ -35,7 +35,7 @@ Damage = Callable[[np.random.Generator, bytes], tuple[list[bytes], str]]
 @pytest.fixture
 def armed(driver: Illuminator) -> Illuminator:
     """A board at work, whose registers are not what they were after reset."""
-    driver.play(LightSchedule.even(3, spacing_ns=300, width_ns=100, period_ns=3200))
+    driver.play(PulseSchedule.even(3, spacing_ns=300, width_ns=100, period_ns=3200))
     driver.board.write("scratch", value=0x600D)
     driver.board.write("step_count", 1, value=7)
     driver.arm(watchdog_ms=65535)

@@ -89,7 +89,9 @@ def test_enumerates_at_high_speed_as_the_host_s_driver_expects(device):
     assert host.reset(), "no high-speed handshake"
     first = host.control_in(GET_DESCRIPTOR, DEVICE, 18)
     assert first[:2] == bytes([18, 1])
-    assert first[8:12] == bytes.fromhex("09120100")  # as `hueflight.devices.usb_identity` has it
+    assert first[8:12] == bytes.fromhex(
+        "09120100"
+    )  # as `hueflight.devices.transports.usb_identity` has it
     host.control_out(SET_ADDRESS, 42)
     host.address = 42
     head = host.control_in(GET_DESCRIPTOR, CONFIGURATION, 9)

@@ -10,9 +10,9 @@ import hueflight as hf
 from hueflight.analysis import SpectralLibrary, delta_e_2000, lab, match
 from hueflight.analysis.library import bands_to_xyz
 from hueflight.color import tristimulus
+from hueflight.color.color_chart import PATCHES
 from hueflight.color.recovery import NODES_NM
 from hueflight.errors import FileFormatError, HueflightError
-from hueflight.simulator.colorchecker import PATCHES
 
 # Sharma, Wu and Dalal, Color Res. Appl. 30, 21 (2005), table 1: L a b, L a b, ΔE00
 SHARMA = np.fromstring(

@@ -64,7 +64,7 @@ def test_every_flag_that_matters_is_heeded(noisy: Noisy) -> None:
     for flag in Quality:
         flagged = image.assign(quality=image["quality"] + np.uint16(flag))
         # starved pixels are NaN already; their flag alone takes nothing away
-        assert bool(reliable(flagged).all()) == (flag is Quality.STARVED)
+        assert bool(reliable(flagged).all()) == (flag is Quality.LOW_SIGNAL)
     none = region_spectra(image.assign(quality=image["quality"] + np.uint16(1)), PATCH)
     assert np.isnan(none["reflectance"]).all()
     assert np.isnan(none["depth_std"]).all()

@@ -10,7 +10,7 @@ import xarray as xr
 import hueflight as hf
 from hueflight.analysis import transmittance
 from hueflight.errors import HueflightError, ImageError
-from hueflight.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 
 
 def test_filter_and_slab_are_measured(small: Callable[..., hf.Instrument], draw: Any) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.captures import write_counts
+from hueflight.importers.captures import write_counts
 
 ROWS, COLS = 10, 8
 

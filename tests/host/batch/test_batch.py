@@ -18,9 +18,9 @@ import xarray as xr
 import hueflight as hf
 from hueflight.batch import BatchReport, DaskCluster, Job, LocalWorkers, Outcome, reconstruct_many
 from hueflight.batch.job import work
-from hueflight.captures import read_capture, write_counts
 from hueflight.errors import BatchError, CalibrationError, ExportError
 from hueflight.importers import read_image
+from hueflight.importers.captures import read_capture, write_counts
 
 T = TypeVar("T")
 
@@ -250,7 +250,7 @@ def test_segments_of_a_recording_are_one_capture(
 ) -> None:
     seen: list[str] = []
 
-    class Seen(InThisProcess):
+    class PreparedHistogram(InThisProcess):
         def run(self, job: Job, captures: Sequence[str], /) -> Iterator[Outcome]:
             seen.extend(Path(capture).name for capture in captures)
             return super().run(job, captures)
@@ -260,7 +260,7 @@ def test_segments_of_a_recording_are_one_capture(
         [tmp_path / name for name in names],
         tmp_path / "out",
         calibration=calibration,
-        executor=Seen(),
+        executor=PreparedHistogram(),
     )
     assert seen == ["run.mcap", "lone.000003.mcap"]
 

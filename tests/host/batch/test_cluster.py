@@ -14,8 +14,8 @@ import pytest
 
 import hueflight as hf
 from hueflight.batch import reconstruct_many
-from hueflight.captures import read_capture
 from hueflight.importers import read_image
+from hueflight.importers.captures import read_capture
 
 # what dask's own shutdown leaves open is not ours to mend
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")

@@ -9,8 +9,8 @@ import pytest
 
 import hueflight as hf
 from hueflight.batch import BatchReport, reconstruct_many
-from hueflight.captures import write_counts
 from hueflight.importers import read_image
+from hueflight.importers.captures import write_counts
 
 CAPTURES = 200
 

@@ -17,15 +17,16 @@ from starlette.testclient import TestClient
 import hueflight as hf
 from hueflight.daemon.app import make_app
 from hueflight.daemon.config import DaemonConfig, ServerConfig
-from hueflight.devices import Camera, CameraModel, FrameBank, Rig
-from hueflight.devices.model_ports import ModelStream, ModelTransport
+from hueflight.devices import Camera, Rig
+from hueflight.emulation import CameraModel, FrameBank
+from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
 
 PORT = 8470
 BASE = f"http://127.0.0.1:{PORT}"
 Small = Callable[..., hf.Instrument]
 
 
-class Lights:
+class FakeIllumination:
     name = "test lights"
 
     def prepare(self, kind: str, frames: int, /) -> None:
@@ -54,9 +55,11 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
 
         def connect() -> Rig:
             camera = Camera(
-                ModelTransport(model.handle), lambda size: ModelStream(model, size), simulated=True
+                SimulatedTransport(model.handle),
+                lambda size: SimulatedStream(model, size),
+                simulated=True,
             )
-            return Rig(camera, Lights())
+            return Rig(camera, FakeIllumination())
 
         config = DaemonConfig(data=str(tmp_path / "data"), server=ServerConfig(**server))
         app = make_app(config, connect, instrument, port=PORT, token=token)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from hueflight.capture.urgency import Urgency
+from hueflight.acquisition.thread_priority import ThreadPriority
 from hueflight.devices.camera import MAX_TRANSFER_BYTES
-from hueflight.devices.usb_identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
-from hueflight.devices.usb_stream import TRANSFERS, USBFS_LIMIT
+from hueflight.devices.transports.usb_identity import PRODUCT_ID, PRODUCT_PREFIX, VENDOR_ID
+from hueflight.devices.transports.usb_stream import TRANSFERS, USBFS_LIMIT
 
 HOST = Path(__file__).resolve().parents[3] / "host"
 RULES = HOST / "udev/60-hueflight.rules"
@@ -72,8 +72,8 @@ def test_udev_reads_the_rules() -> None:
 
 def test_the_unit_lets_acquisition_come_first() -> None:
     limits = dict(re.findall(r"^(Limit\w+)=(\S+)$", UNIT.read_text(), re.M))
-    assert int(limits["LimitRTPRIO"]) == max(urgency.real_time for urgency in Urgency)
-    assert int(limits["LimitNICE"]) == min(urgency.niceness for urgency in Urgency)
+    assert int(limits["LimitRTPRIO"]) == max(urgency.real_time for urgency in ThreadPriority)
+    assert int(limits["LimitNICE"]) == min(urgency.niceness for urgency in ThreadPriority)
 
 
 def test_the_kernel_is_asked_for_memory_where_the_driver_looks() -> None:

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.capture.snapshot import LiveBlock
-from hueflight.daemon.delays import Latencies
-from hueflight.daemon.pictures import REFRESH_S, Film, Picture, Pictures
+from hueflight.acquisition.snapshot import LiveBlock
+from hueflight.daemon.latency import Latencies
+from hueflight.daemon.pictures import REFRESH_S, IncrementalFitter, Picture, Pictures
 from hueflight.reconstruction.quality import Quality
 
 WAIT_S = 20
@@ -150,7 +150,7 @@ def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
 ) -> None:
     wide = small(rows=24, cols=24)
     calibration = hf.calibrate(draw(wide, photons=20_000), wide, distance=0.5)
-    film = Film(change_sigma=4.0, threads=1)
+    film = IncrementalFitter(change_sigma=4.0, threads=1)
 
     def skipped(frames: int, seed: int) -> float:
         counts = draw(wide, depth=0.9, photons=1.3 * frames, frames=frames, seed=seed)
@@ -167,7 +167,7 @@ def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
     assert skipped(400, seed=5) == 0  # all had their turn meanwhile
     calibration = hf.calibrate(draw(wide, photons=20_000, seed=9), wide, distance=0.5)
     assert skipped(400, seed=6) == 0
-    every = Film(change_sigma=0.0, threads=1)
+    every = IncrementalFitter(change_sigma=0.0, threads=1)
     for seed in (7, 8):
         counts = draw(wide, depth=0.9, photons=500, frames=400, seed=seed)
         image = every.next(counts.astype(np.uint16), calibration, 400)
@@ -188,7 +188,7 @@ def test_every_pixel_has_its_turn_once_in_a_while(
     counts = draw(wide, depth=0.9, photons=500, frames=400, seed=2).astype(np.uint16)
     now_s = 1000.0
     monkeypatch.setattr("hueflight.daemon.pictures.time.monotonic", lambda: now_s)
-    film = Film(change_sigma=4.0, threads=1)
+    film = IncrementalFitter(change_sigma=4.0, threads=1)
     film.next(counts, calibration, 400)
     fitted = np.zeros((24, 24), int)
     for _ in range(pictures):

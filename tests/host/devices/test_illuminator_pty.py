@@ -18,10 +18,10 @@ from hueflight.devices import (
 )
 from hueflight.devices.board import Board
 from hueflight.devices.illuminator import Illuminator, open_illuminator
-from hueflight.devices.illuminator_lights import IlluminatorLights
-from hueflight.devices.light_program import LightStep, each_alone
-from hueflight.devices.light_schedule import LightSchedule
-from hueflight.devices.serial_line import SerialPort, SerialTransport
+from hueflight.devices.illuminator_driver import IlluminatorDriver
+from hueflight.devices.pulse_schedule import PulseSchedule
+from hueflight.devices.sequencer_program import ProgramStep, each_alone
+from hueflight.devices.transports.serial import SerialPort, SerialTransport
 from hueflight_protocol import encode_request, serial_frame
 from hueflight_protocol.control import MAX_COBS_BYTES, write
 from hueflight_protocol.illuminator_map import TriggerSource
@@ -48,7 +48,7 @@ def test_who_is_there(driver: Illuminator, line: PtyBoard):
 
 
 def test_the_papers_schedule_arrives_in_ticks(driver: Illuminator, line: PtyBoard):
-    made = driver.play(LightSchedule.even(9))
+    made = driver.play(PulseSchedule.even(9))
     assert made.delay_error_ns == made.width_error_ns == made.period_error_ns == 0
     registers = line.board.registers
     map_ = registers.registers
@@ -61,16 +61,16 @@ def test_the_papers_schedule_arrives_in_ticks(driver: Illuminator, line: PtyBoar
 
 
 def test_arming_and_a_bank_in_use(driver: Illuminator, line: PtyBoard):
-    driver.play(LightSchedule.even(9))
+    driver.play(PulseSchedule.even(9))
     assert not driver.state().armed
     driver.arm(watchdog_ms=50)
     assert driver.state().armed
     assert line.board.registers.get("watchdog_ms") == 50
     with pytest.raises(RequestError, match="REFUSED"):
-        driver.load(LightSchedule.even(9), bank=1)
-    driver.load(LightSchedule.even(9), bank=0)
+        driver.load(PulseSchedule.even(9), bank=1)
+    driver.load(PulseSchedule.even(9), bank=0)
     driver.disarm()
-    driver.load(LightSchedule.even(9), bank=1)
+    driver.load(PulseSchedule.even(9), bank=1)
 
 
 def test_triggers_and_programs(driver: Illuminator, line: PtyBoard):
@@ -84,13 +84,13 @@ def test_triggers_and_programs(driver: Illuminator, line: PtyBoard):
     registers = line.board.registers
     assert [registers.get("step_mask", step) for step in range(9)] == [1 << k for k in range(9)]
     assert {registers.get("step_count", step) for step in range(9)} == {100}
-    driver.run([LightStep(5)])  # stops the one before
+    driver.run([ProgramStep(5)])  # stops the one before
     driver.stop()
     assert not driver.state().sequencing
 
 
 def test_lights_of_a_capture(driver: Illuminator, line: PtyBoard):
-    lights = IlluminatorLights(driver, hf.Instrument.load("paper"))
+    lights = IlluminatorDriver(driver, hf.Instrument.load("paper"))
     assert lights.schedule.period == 256
     lights.prepare("bands", 10)
     assert line.board.state("armed")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import hueflight as hf
 from hueflight.errors import ExportError
 from hueflight.export import FORMATS, write, write_histogram, write_photons
-from hueflight.export.staging import staged
+from hueflight.files.atomic import staged
 
 
 @pytest.fixture
@@ -157,7 +157,7 @@ def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
 def test_a_killed_writer_leaves_nothing_under_the_name(tmp_path: Path) -> None:
     script = (
         "import os, signal, sys; from pathlib import Path\n"
-        "from hueflight.export.staging import staged\n"
+        "from hueflight.files.atomic import staged\n"
         "with staged(Path(sys.argv[1]) / 'x') as partial:\n"
         "    partial.write_text('half')\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -9,9 +9,9 @@ import xarray as xr
 from numpy.typing import NDArray
 from PIL import Image
 
+from hueflight.color.colormap import NO_DATA, colours
 from hueflight.errors import ExportError
 from hueflight.export import write, write_previews
-from hueflight.export.colormap import NO_DATA, colours
 
 
 def opened(path: Path) -> tuple[NDArray[np.uint8], dict[str, str]]:

@@ -25,7 +25,7 @@ def test_table_read_by_pandas(image: xr.Dataset, tmp_path: Path) -> None:
     assert list(left.fwhm_nm) == list(image["emission_fwhm"].values)
     # by hand: every pixel there counts once, but those whose flags speak against it
     part = image.isel(row=slice(2, 12), col=slice(0, 5))
-    sound = (part["quality"].values & ~np.uint16(Quality.STARVED)) == 0
+    sound = (part["quality"].values & ~np.uint16(Quality.LOW_SIGNAL)) == 0
     values = part["reflectance"].values[sound].astype(float)
     values = values[np.isfinite(values).all(axis=1)]
     np.testing.assert_allclose(left.reflectance, values.mean(axis=0), rtol=1e-12)

@@ -15,7 +15,7 @@ from PIL import Image
 
 from hueflight.errors import ExportError
 from hueflight.export import write
-from hueflight.images import layers
+from hueflight.files.image_schema import layers
 
 OME = {"ome": "http://www.openmicroscopy.org/Schemas/OME/2016-06"}
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import hueflight as hf
 from hueflight.errors import FileFormatError, InstrumentError
 from hueflight.importers import read_counts, tcspc_instrument
-from hueflight.instrument import Band
+from hueflight.model.instrument import Band
 
 ROWS, COLS, BINS, BIN_NS, PERIOD_NS = 5, 7, 125, 0.4, 50.0
 BANDS = (

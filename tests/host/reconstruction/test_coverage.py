@@ -6,9 +6,9 @@ import pytest
 
 import hueflight as hf
 from hueflight.errors import ImageError
+from hueflight.model.spectra import band_weights, reflectance
 from hueflight.reconstruction.bounds import expected_shares
 from hueflight.reconstruction.uncertainty import reflectance_interval
-from hueflight.simulator.spectra import band_weights, reflectance
 
 WHITE = 100_000  #: photons of a pixel of the reference with tailed LEDs
 

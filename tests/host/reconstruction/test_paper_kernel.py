@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.reconstruction import kernels, paper, paper_compiled
-from hueflight.reconstruction.kernels import BUILDS, compiled_kernel
+from hueflight.fit import solver as kernels
+from hueflight.fit.solver import BUILDS, compiled_kernel
+from hueflight.reconstruction import paper
+from hueflight.reconstruction import paper_kernel as paper_compiled
 
 compiled = pytest.mark.usefixtures("compiled_fit")
 
@@ -76,10 +78,10 @@ def test_same_results(instrument, calibration, draw, depth, photons, background)
 @compiled
 @pytest.mark.parametrize("name", BUILDS)
 def test_every_width_of_vectors_gives_the_same(instrument, calibration, draw, monkeypatch, name):
-    able = import_module("hueflight.reconstruction._kernels").processor()
+    able = import_module("hueflight.fit._kernels").processor()
     if BUILDS.index(name) < 2 - able:
         pytest.skip(f"this processor can't run {name}")
-    build = pytest.importorskip(f"hueflight.reconstruction.{name}")
+    build = pytest.importorskip(f"hueflight.fit.{name}")
     monkeypatch.setattr(paper_compiled, "compiled_kernel", lambda: build)
     counts = draw(instrument, depth=0.9, photons=620, background=62)
     assert_same(*both(instrument.time_bins().in_time_order(counts), calibration))

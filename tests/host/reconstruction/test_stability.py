@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.calibration.templates import Templates
-from hueflight.reconstruction import fit as definition
+from hueflight.fit import reference as definition
+from hueflight.fit.solver import compiled_kernel, fit_pixels
+from hueflight.fit.tables import ScheduleView, make_tables, summed
+from hueflight.model.waveforms import Templates
 from hueflight.reconstruction.bounds import expected_shares
-from hueflight.reconstruction.joint import plan_for
-from hueflight.reconstruction.kernels import compiled_kernel, fit_pixels
-from hueflight.reconstruction.plan import View, make_plan, summed
+from hueflight.reconstruction.joint import tables_for_calibration
 from hueflight.reconstruction.quality import Quality
 
 ROWS, COLS = 4, 6
@@ -80,7 +80,7 @@ def test_no_photon_at_all(rig):
     image = hf.reconstruct(empty(instrument), calibration)
     sound(image)
     assert np.isnan(image["depth"]).all()
-    assert (image["quality"].values & Quality.STARVED).all()
+    assert (image["quality"].values & Quality.LOW_SIGNAL).all()
 
 
 @pytest.mark.parametrize("code", [1, 2, 250, 498, 499])
@@ -187,8 +187,8 @@ def crowded(plain, delays_ns, fwhm_ns):
         for band in range(len(bands))
     ]
     templates = Templates.normalized(np.array(density), 320.0)
-    plan = make_plan(
-        [View(bins, templates)],
+    plan = make_tables(
+        [ScheduleView(bins, templates)],
         shortest_fwhm_ns=fwhm_ns,
         brightness=np.ones(len(bands)),
         search_ns=(-5.0, 5.0),
@@ -248,7 +248,7 @@ def test_sums_are_exact():
 def test_fisher_sums_against_fractions(rig):
     """The weighted sums of the normal equations, against exact rational arithmetic."""
     _, calibration = rig()
-    plan = plan_for(calibration, (-15.0, 15.0))
+    plan = tables_for_calibration(calibration, (-15.0, 15.0))
     shares = plan.fine.shares[len(plan.fine.shares) // 2]
     light = np.random.default_rng(1).poisson(3.0, shares.shape[1])
     exact = np.array(
@@ -267,7 +267,7 @@ def test_fisher_sums_against_fractions(rig):
 def test_order_of_pixels_changes_nothing(rig, draw):
     instrument, calibration = rig()
     counts = draw(instrument, depth=0.6, photons=800, background=80)
-    plan = plan_for(calibration, (-15.0, 15.0))
+    plan = tables_for_calibration(calibration, (-15.0, 15.0))
     light = calibration.bins.in_time_order(counts).reshape(ROWS * COLS, -1).astype(np.float32)
     order = np.random.default_rng(2).permutation(len(light))
     plain = fit_pixels(light, np.zeros(len(light)), plan)
@@ -281,7 +281,7 @@ def test_order_of_pixels_changes_nothing(rig, draw):
 def test_more_of_the_same_photons(rig, draw, times):
     """Every count times N: the same delay, amplitudes times N, deviations by √N less."""
     instrument, calibration = rig()
-    plan = plan_for(calibration, (-15.0, 15.0))
+    plan = tables_for_calibration(calibration, (-15.0, 15.0))
     counts = draw(instrument, depth=0.6, photons=20_000, background=2000)
     light = calibration.bins.in_time_order(counts).reshape(ROWS * COLS, -1).astype(np.float32)
     once = fit_pixels(light, np.zeros(len(light)), plan)
@@ -315,7 +315,7 @@ def test_more_photons_never_make_it_worse(rig, draw):
 def test_no_more_steps_than_allowed(rig):
     """Noise that fits nothing: scoring ends at its cap."""
     _, calibration = rig()
-    plan = plan_for(calibration, (-15.0, 15.0))
+    plan = tables_for_calibration(calibration, (-15.0, 15.0))
     rng = np.random.default_rng(3)
     light = rng.exponential(1.0, (200, 499)).astype(np.float32) ** 8
     found = fit_pixels(light, np.zeros(200), plan)
@@ -329,7 +329,7 @@ def test_no_more_steps_than_allowed(rig):
 def test_single_precision_is_enough(rig, draw, backend):
     """The compiled fit (single) against its definition (double): a thousandth of a deviation."""
     instrument, calibration = rig()
-    plan = plan_for(calibration, (-15.0, 15.0))
+    plan = tables_for_calibration(calibration, (-15.0, 15.0))
     for photons in (100, 10_000, 10_000_000):
         counts = draw(instrument, depth=0.6, photons=photons, background=photons, frames=2**31)
         light = calibration.bins.in_time_order(counts).reshape(ROWS * COLS, -1)

@@ -7,8 +7,9 @@ import pytest
 
 import hueflight as hf
 from hueflight.errors import HueflightError
-from hueflight.reconstruction import changes, kernels
-from hueflight.reconstruction.joint import plan_for
+from hueflight.fit import change_detection as changes
+from hueflight.fit import solver as kernels
+from hueflight.reconstruction.joint import tables_for_calibration
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.video import Video
 
@@ -94,13 +95,15 @@ def test_switched_off(setting):
 @pytest.mark.usefixtures("compiled_fit")
 @pytest.mark.parametrize("name", kernels.BUILDS)
 def test_compiled_contrasts_are_those_of_the_definition(setting, monkeypatch, name):
-    able = import_module("hueflight.reconstruction._kernels").processor()
+    able = import_module("hueflight.fit._kernels").processor()
     if kernels.BUILDS.index(name) < 2 - able:
         pytest.skip(f"this processor can't run {name}")
-    build = pytest.importorskip(f"hueflight.reconstruction.{name}")
+    build = pytest.importorskip(f"hueflight.fit.{name}")
     monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
     calibration, shot = setting
-    plan = plan_for(calibration, (-15.0, 15.1))  # of its own: its tables are for one width
+    plan = tables_for_calibration(
+        calibration, (-15.0, 15.1)
+    )  # of its own: its tables are for one width
     kernels._packed.pop(plan, None)
     now = calibration.bins.in_time_order(shot(2, depth=0.95)).reshape(576, -1)
     then = calibration.bins.in_time_order(shot(1)).reshape(576, -1)

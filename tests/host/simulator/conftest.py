@@ -43,11 +43,6 @@ def goodness_of_fit() -> Callable[[NDArray[np.integer], NDArray[np.floating]], f
 
 
 @pytest.fixture(scope="session")
-def paper() -> Instrument:
-    return Instrument.load("paper")
-
-
-@pytest.fixture(scope="session")
 def one_pixel(paper: Instrument, resized: Callable[..., Instrument]) -> Instrument:
     return resized(paper, 1, 1)
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from hueflight import Instrument
+from hueflight.color.color_chart import PATCHES, patch_reflectances
 from hueflight.errors import SceneError
+from hueflight.model.spectra import band_weights
 from hueflight.simulator import NOTHING, SCENES, scene, scenes
-from hueflight.simulator.colorchecker import PATCHES, patch_reflectances
 from hueflight.simulator.layout import Palette
 from hueflight.simulator.scene import Layer, trace
-from hueflight.simulator.spectra import band_weights
 
 
 @pytest.fixture(scope="module")

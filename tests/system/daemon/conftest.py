@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from importlib import resources
 from pathlib import Path
@@ -12,20 +11,16 @@ from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parent.parent / "usb"))
-
-from daemon_process import Daemon
-
 import hueflight as hf
-from hueflight.devices import CameraModel, FrameBank
-from hueflight.devices.frame_bank import simulated_packets
+from hueflight.emulation import CameraModel, FrameBank
+from hueflight.emulation.frame_bank import simulated_packets
+from support.daemon_process import Daemon
 
 
 @pytest.fixture(scope="session")
 def instrument_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The paper's instrument with few pixels, as a TOML file."""
-    text = (resources.files("hueflight") / "presets" / "paper.toml").read_text("utf-8")
+    text = (resources.files("hueflight.model") / "presets" / "paper.toml").read_text("utf-8")
     text = re.sub(r"(?m)^rows = 192$", "rows = 48", text)
     text = re.sub(r"(?m)^cols = 128$", "cols = 32", text)
     # the same field of view with larger pixels
@@ -53,9 +48,9 @@ def model(instrument_file: Path, banks: dict[str, list[bytes]]) -> CameraModel:
 
 @pytest.fixture
 def bus(tmp_path: Path, model: CameraModel) -> Iterator[Any]:
-    from emulated_camera import EmulatedCamera
-    from emulation import require_packages
-    from usbfs import UsbfsBus
+    from support.emulated_camera import EmulatedCamera
+    from support.emulation import require_packages
+    from support.usbfs import UsbfsBus
 
     require_packages()
     made = UsbfsBus(tmp_path / "bus", EmulatedCamera(model))

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from daemon_process import Daemon, until
 
-from hueflight.devices import CameraModel
+from hueflight.emulation import CameraModel
 from hueflight.recording import open_recording, recover
+from support.daemon_process import Daemon, until
 
 Start = Callable[[], Daemon]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from daemon_process import Daemon, until
+
+from support.daemon_process import Daemon, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import open_browser, require_chromium
-from daemon_process import PATIENCE_S, Daemon, until
 
 from hueflight.daemon.server import REQUEST_S
-from hueflight.devices import CameraModel, FrameBank
+from hueflight.emulation import CameraModel, FrameBank
 from hueflight.recording import open_recording
+from support.browser import open_browser, require_chromium
+from support.daemon_process import PATIENCE_S, Daemon, until
 
 Start = Callable[[], Daemon]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

@@ -14,14 +14,11 @@ import msgspec
 import pytest
 
 import hueflight as hf
-from hueflight.devices import CameraModel, FrameBank
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from emulated_camera import EmulatedCamera
-from emulation import require_packages
-from lines import Lines
-from usbfs import UsbfsBus
+from hueflight.emulation import CameraModel, FrameBank
+from support.emulated_camera import EmulatedCamera
+from support.emulation import require_packages
+from support.lines import Lines
+from support.usbfs import UsbfsBus
 
 PATIENCE_S = 60
 
@@ -100,7 +97,7 @@ PRELUDE = """
 import json, os, sys, time
 import hueflight as hf
 from hueflight.devices import *
-from hueflight.devices.usb import find_cameras, open_camera
+from hueflight.devices.transports.usb import find_cameras, open_camera
 from hueflight_protocol import PacketParser
 instrument = hf.Instrument.from_json(os.environ["INSTRUMENT"])
 def say(**values): print(json.dumps(values), flush=True)

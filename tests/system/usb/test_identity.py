@@ -5,10 +5,8 @@ from __future__ import annotations
 import struct
 
 import pytest
-from emulated_camera import EmulatedCamera
 
-from hueflight.devices import CameraModel
-from hueflight.devices.usb_identity import (
+from hueflight.devices.transports.usb_identity import (
     CONTROL_IN,
     CONTROL_INTERFACE,
     CONTROL_OUT,
@@ -18,6 +16,8 @@ from hueflight.devices.usb_identity import (
     STREAM_INTERFACE,
     VENDOR_ID,
 )
+from hueflight.emulation import CameraModel
+from support.emulated_camera import EmulatedCamera
 
 DEVICE, CONFIGURATION, STRING, INTERFACE, ENDPOINT = 1, 2, 3, 4, 5
 BULK = 2

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from emulated_camera import EmulatedCamera
-from guest import boot, require_guest
 
 import hueflight as hf
-from hueflight.devices import CameraModel
+from hueflight.emulation import CameraModel
+from support.emulated_camera import EmulatedCamera
+from support.guest import boot, require_guest
 
 FRAMES = 800
 PROGRAM = f"""

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from emulated_camera import EmulatedCamera
-from usbfs import UsbfsBus
 
-from hueflight.devices import CameraModel
-from hueflight.devices.usb_identity import CONTROL_IN, STREAM_IN
+from hueflight.devices.transports.usb_identity import CONTROL_IN, STREAM_IN
+from hueflight.emulation import CameraModel
+from support.emulated_camera import EmulatedCamera
+from support.usbfs import UsbfsBus
 
 Run = Callable[[str], Any]
 LIMITED = """
@@ -123,8 +123,8 @@ def test_a_reader_that_is_late_stalls_the_camera_and_cuts_nothing(
     """The queue is bounded; what the camera drops meanwhile is dropped whole and counted."""
     model._buffer_bytes = 20_000
     client = run_client("""
-from hueflight.devices.usb_stream import UsbStream
-from hueflight.devices import usb
+from hueflight.devices.transports.usb_stream import UsbStream
+from hueflight.devices.transports import usb
 place = find_cameras()[0]
 camera = Camera(usb.UsbTransport(place),
                 lambda size: UsbStream(place.bus, place.address, size, queue_bytes=40000,

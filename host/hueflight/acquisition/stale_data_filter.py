@@ -1,0 +1,54 @@
+"""Where in a stream a run begins: a link may still hold packets of an earlier run.
+
+They were booked as lost when that run was closed, and must not count again (rule S5 of the
+protocol: a capture is told by its label).
+"""
+
+from __future__ import annotations
+
+from hueflight_protocol import PacketParser
+
+STEP_BYTES = 4096  #: looked at in one go: the parser is slow, and the run most often begins at once
+
+
+class StaleDataFilter:
+    """Holds a stream back until the first intact packet of a run.
+
+    Parameters
+    ----------
+    label : the run's `capture` number.
+
+    Attributes
+    ----------
+    found : whether the run has begun: what follows is its own.
+    """
+
+    def __init__(self, label: int, /) -> None:
+        self.found = False
+        self._label = label
+        self._parser = PacketParser(keep_damage=0)
+        self._pending = bytearray()
+        self._offset = 0  # in the stream, of the first byte that is pending
+
+    def cut(self, piece: bytes, /) -> bytes:
+        """Take a piece of the stream; return what of it, and of earlier pieces, is the run's."""
+        if self.found:
+            return piece
+        for start in range(0, len(piece), STEP_BYTES):
+            self._look_at(piece[start : start + STEP_BYTES])
+            if self.found:
+                own = bytes(self._pending) + piece[start + STEP_BYTES :]
+                self._pending.clear()
+                return own
+        return b""
+
+    def _look_at(self, step: bytes) -> None:
+        """Keep what may be the run's, or the start of a packet."""
+        self._pending += step
+        packets = self._parser.feed(step)
+        starts = [each.offset for each in packets if each.content.header.capture == self._label]
+        self.found = bool(starts)
+        end = self._offset + len(self._pending)
+        wanted = starts[0] if starts else end - self._parser.pending_bytes
+        del self._pending[: wanted - self._offset]
+        self._offset = wanted

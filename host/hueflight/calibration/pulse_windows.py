@@ -1,0 +1,220 @@
+"""Which bins belong to which pulse, found from a reference (paper, section 2 and Fig. 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from hueflight.errors import CalibrationError
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.time_bins import TimeBins
+
+WINDOW_FLOOR = 0.02  #: a window ends where the pulse has fallen to this share of its peak
+SMOOTHING_BINS = 1.5  #: σ of the smoothing before peaks are looked for
+NOISE_MARGIN = 5.0  #: a pulse stands this many standard deviations above nothing
+LEAST_MODULATION = 0.2  #: share of the reference's light that must stand above its floor
+
+
+@dataclass(frozen=True)
+class PulseWindow:
+    """Bins [start, stop) that hold one pulse of a band, in time order.
+
+    On a circle `start` may be negative or `stop` beyond the last bin: the window wraps.
+    """
+
+    band: int
+    start: int
+    stop: int
+
+
+def expected_train(
+    instrument: Instrument, bins: TimeBins, *, distance: float
+) -> NDArray[np.float64]:
+    """Share of each band's light per bin, (band, bin), from a flat target at `distance` m."""
+    delay_ns = 2 * distance / SPEED_OF_LIGHT_M_PER_NS
+    edges_ns = bins.edges_ns - delay_ns
+    return np.array(
+        [
+            np.sum(
+                [pulse.share(edges_ns, bins.period_ns) for pulse in instrument.pulses(k)], axis=0
+            )
+            for k in range(len(instrument.bands))
+        ]
+    )
+
+
+def find_windows(
+    pooled: NDArray[np.floating], instrument: Instrument, bins: TimeBins, *, distance: float
+) -> tuple[PulseWindow, ...]:
+    """Windows of all pulses in a reference histogram.
+
+    The instrument's own pulse train is laid over the reference at every shift (the latency in
+    an instrument file need not be exact); from each pulse's peak a window grows until the
+    light has fallen to 2 % of it or rises again towards a neighbour.
+
+    Parameters
+    ----------
+    pooled : (bin,) counts of all good pixels together, in time order.
+    distance : of the reference target, m.
+
+    Raises
+    ------
+    CalibrationError
+        If the reference holds no pulse train.
+    """
+    floor = float(np.quantile(pooled / bins.widths_ns, 0.05))
+    light = np.maximum(pooled - floor * bins.widths_ns, 0)
+    if light.sum() <= LEAST_MODULATION * pooled.sum():
+        raise CalibrationError(
+            f"the reference has no pulses in it: only {light.sum() / max(pooled.sum(), 1):.0%} of "
+            "its light stands above the flat background. Check that the LEDs were on, that the "
+            "camera's trigger reaches them, and that ambient light is low"
+        )
+    ends = "nearest" if bins.period_ns is None else "wrap"
+    smooth = gaussian_filter1d(light, SMOOTHING_BINS, mode=ends)
+    # of the smoothed counts: a Gaussian averages over 2 √π σ bins
+    noise = np.sqrt(
+        gaussian_filter1d(np.asarray(pooled, np.float64), SMOOTHING_BINS, mode=ends)
+        / (2 * np.sqrt(np.pi) * SMOOTHING_BINS)
+    )
+    shift = _train_shift(smooth, instrument, bins, distance=distance)
+    visible = np.where(smooth > NOISE_MARGIN * noise, smooth, 0.0)
+    peaks = _pulse_peaks(visible, instrument, bins, distance=distance, shift=shift)
+    return _parted([PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins)
+
+
+def _train_shift(
+    light: NDArray[np.float64], instrument: Instrument, bins: TimeBins, *, distance: float
+) -> int:
+    """Bins by which the reference lies later than the instrument's own timing says."""
+    train = np.sqrt(instrument.band_brightness()) @ expected_train(
+        instrument, bins, distance=distance
+    )
+    # square roots, so that one bright band does not outvote the pattern of all
+    shifts = np.arange(-(bins.count // 2), bins.count - bins.count // 2)
+    amplitude = np.sqrt(light)
+    if bins.period_ns is None:
+        padded = np.pad(amplitude, bins.count)
+        scores = [padded[bins.count + s :][: bins.count] @ train for s in shifts]
+    else:
+        scores = [np.roll(amplitude, -s) @ train for s in shifts]
+    return int(shifts[np.argmax(scores)])
+
+
+def _pulse_peaks(
+    light: NDArray[np.float64],
+    instrument: Instrument,
+    bins: TimeBins,
+    *,
+    distance: float,
+    shift: int,
+) -> list[tuple[int, int]]:
+    """(band, bin of the highest light) of every pulse."""
+    bin_width_ns = bins.span_ns / bins.count
+    reach = int(min(instrument.half_spacing_ns(), bins.span_ns / 4) / bin_width_ns)
+    peaks = []
+    for band in range(len(instrument.bands)):
+        for pulse in instrument.pulses(band):
+            time_ns = pulse.center_ns + pulse.tail_ns / 2 + 2 * distance / SPEED_OF_LIGHT_M_PER_NS
+            if bins.period_ns is not None:
+                time_ns %= bins.period_ns
+            middle = int(np.searchsorted(bins.edges_ns, time_ns) - 1) + shift
+            near = np.arange(middle - reach, middle + reach + 1)
+            if bins.period_ns is None:
+                near = near[(near >= 0) & (near < bins.count)]
+            found = near[np.argmax(light[near % bins.count])] if near.size else middle
+            # highest where the search ends, it is only a neighbour's foot
+            foot = reach > 0 and near.size > 2 and found in (near[0], near[-1])
+            if not near.size or light[found % bins.count] <= 0 or foot:
+                raise CalibrationError(
+                    f"the reference shows no light of band {instrument.bands[band].name!r} near "
+                    f"{time_ns:.0f} ns: check that LED and its delay in the instrument"
+                )
+            peaks.append((band, int(found)))
+    return peaks
+
+
+def _grow(light: NDArray[np.float64], peak: int, bins: TimeBins) -> tuple[int, int]:
+    """First and one past the last bin of the pulse whose highest bin is `peak`."""
+    circular = bins.period_ns is not None
+    floor = WINDOW_FLOOR * light[peak % bins.count]
+
+    def walk(step: int) -> int:
+        here = peak
+        while True:
+            beyond = here + step
+            if not circular and not 0 <= beyond < bins.count:
+                return here
+            value = light[beyond % bins.count]
+            if value < floor or abs(beyond - peak) >= bins.count // 2:
+                return here
+            # a valley: light rises again and stays risen, so a neighbour begins
+            further = light[(beyond + 2 * step) % bins.count]
+            if (
+                value > light[here % bins.count]
+                and further > value
+                and value < light[peak % bins.count] / 2
+            ):
+                return here
+            here = beyond
+
+    return walk(-1), walk(+1) + 1
+
+
+def _parted(windows: list[PulseWindow], bins: TimeBins) -> tuple[PulseWindow, ...]:
+    """The windows, where two overlap cut in the middle of what both claim."""
+    order = sorted(range(len(windows)), key=lambda i: windows[i].start)
+    parted = list(windows)
+    circular = bins.period_ns is not None
+    for place, index in enumerate(order):
+        last = place == len(order) - 1
+        following = order[0] if last else order[place + 1]
+        if following == index or (last and not circular):
+            continue
+        turn = bins.count if last else 0
+        mine, its = parted[index], parted[following]
+        if (overlap := mine.stop - (its.start + turn)) > 0:
+            cut = mine.stop - overlap // 2
+            parted[index] = replace(mine, stop=cut)
+            parted[following] = replace(its, start=cut - turn)
+    return tuple(parted)
+
+
+def window_sums(
+    counts: NDArray[np.floating],
+    windows: tuple[PulseWindow, ...],
+    shift: NDArray[np.integer],
+    *,
+    bands: int,
+    circular: bool,
+) -> NDArray[np.float64]:
+    """Counts in each band's windows moved by each pixel's own shift (paper, eq. 2).
+
+    Parameters
+    ----------
+    counts : (pixel, bin) in time order.
+    shift : (pixel,) whole bins; positive when the light comes later.
+
+    Returns
+    -------
+    (band, pixel).
+    """
+    pixels, count = counts.shape
+    running = np.concatenate(
+        [np.zeros((pixels, 1)), np.cumsum(counts, axis=-1, dtype=np.float64)], axis=-1
+    )
+    rows = np.arange(pixels)
+
+    def up_to(bin_index: NDArray[np.integer]) -> NDArray[np.float64]:
+        if not circular:
+            return running[rows, np.clip(bin_index, 0, count)]
+        turns, rest = np.divmod(bin_index, count)
+        return running[rows, rest] + turns * running[:, -1]
+
+    sums = np.zeros((bands, pixels))
+    for window in windows:
+        sums[window.band] += up_to(window.stop + shift) - up_to(window.start + shift)
+    return sums

@@ -1,0 +1,56 @@
+"""An illuminator as the lights of a capture."""
+
+from __future__ import annotations
+
+from hueflight.devices.errors import DeviceError
+from hueflight.devices.illumination import CaptureKind
+from hueflight.devices.illuminator import Illuminator
+from hueflight.devices.pulse_schedule import PulseSchedule, TickSchedule
+from hueflight.devices.sequencer_program import each_alone
+from hueflight.model.instrument import Instrument
+from hueflight_protocol.illuminator_map import Advance, TriggerSource
+
+WATCHDOG_MS = 2000
+"""`keep_alive` comes at least twice a second."""
+
+
+class IlluminatorDriver:
+    """Drives the LEDs through an illuminator that the camera triggers.
+
+    Parameters
+    ----------
+    illuminator : opened; closed with this.
+    instrument : whose bands are the channels, in order.
+    """
+
+    def __init__(self, illuminator: Illuminator, instrument: Instrument, /) -> None:
+        self.name = illuminator.identity.place
+        self._illuminator = illuminator
+        self._bands = len(instrument.bands)
+        illuminator.disarm()
+        illuminator.stop()
+        illuminator.set_trigger(TriggerSource.EXTERNAL)
+        self.schedule: TickSchedule = illuminator.load(PulseSchedule.of(instrument), bank=0)
+        illuminator.select(0)
+
+    def prepare(self, kind: CaptureKind, frames: int, /) -> None:
+        """Have the LEDs fire for a capture; of kind ``"bands"``, each alone for `frames` frames."""
+        board = self._illuminator
+        board.stop()
+        if kind in ("dark", "flat"):
+            board.disarm()
+            return
+        if kind == "bands":
+            if frames < 1:
+                raise DeviceError(f"frames = {frames}: each LED needs at least one")
+            # the last LED goes on until the camera has stopped
+            board.run(each_alone(self._bands, frames, stay=True), advance=Advance.FRAME_SYNC)
+        board.arm(watchdog_ms=WATCHDOG_MS)
+
+    def keep_alive(self) -> None:
+        """Feed the board's watchdog."""
+        self._illuminator.feed()
+
+    def close(self) -> None:
+        """Leave the LEDs dark."""
+        self._illuminator.close()

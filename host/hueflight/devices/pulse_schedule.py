@@ -1,0 +1,301 @@
+"""When LEDs fire: schedules in nanoseconds, rounded to ticks, refused where they can't be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from hueflight.errors import HueflightError
+from hueflight.model.instrument import Instrument
+from hueflight_protocol.illuminator_map import MAX_PERIOD_TICKS
+
+
+class ScheduleError(HueflightError):
+    """A schedule that the illuminator can't or must not play."""
+
+
+@dataclass(frozen=True)
+class ChannelPulse:
+    """One pulse of a channel.
+
+    Attributes
+    ----------
+    delay_ns : from the trigger to the rising edge.
+    width_ns : of the drive.
+    """
+
+    delay_ns: float
+    width_ns: float = 10.0
+
+
+@dataclass(frozen=True)
+class PulseSchedule:
+    """Pulses of every channel in one period.
+
+    Attributes
+    ----------
+    channels : pulses of each channel; up to as many as the board has, the others stay dark.
+    period_ns : one LED train.
+    overlap : pulses may coincide: two channels at once, or two pulses of one.
+    """
+
+    channels: tuple[tuple[ChannelPulse, ...], ...]
+    period_ns: float
+    overlap: bool = False
+
+    @classmethod
+    def even(
+        cls,
+        channels: int,
+        /,
+        *,
+        spacing_ns: float = 30.0,
+        width_ns: float = 10.0,
+        period_ns: float = 320.0,
+    ) -> PulseSchedule:
+        """One pulse a channel, evenly spaced; the defaults are the paper's (Table 1)."""
+        pulses = tuple((ChannelPulse(spacing_ns * k, width_ns),) for k in range(channels))
+        return cls(pulses, period_ns)
+
+    @classmethod
+    def of(cls, instrument: Instrument, /) -> PulseSchedule:
+        """What an instrument's description says: delays of its bands, period and drive width.
+
+        Raises
+        ------
+        ScheduleError
+            If the instrument has no period.
+        """
+        timing = instrument.timing
+        if timing.period_ns is None:
+            raise ScheduleError(
+                f"instrument {instrument.name!r} has no timing.period_ns: state the length of one "
+                "LED train"
+            )
+        width = timing.pulse_width_ns
+        pulses = tuple(
+            tuple(ChannelPulse(delay, width) for delay in band.delays_ns)
+            for band in instrument.bands
+        )
+        return cls(pulses, timing.period_ns)
+
+
+@dataclass(frozen=True)
+class ChannelLimit:
+    """What a channel can't exceed, whatever is asked of it.
+
+    Attributes
+    ----------
+    on_ticks : longest time on without a pause.
+    burst_ticks, duty_divisor : in L ticks it is on for at most L / divisor + burst.
+    """
+
+    on_ticks: int
+    burst_ticks: int
+    duty_divisor: int
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """What an illuminator is built for.
+
+    Attributes
+    ----------
+    channels, pulses, steps, lanes : LED channels, pulses of each, steps of a program, ticks
+        per clock.
+    tick_ns : length of a tick.
+    limits : of each channel.
+    """
+
+    channels: int
+    pulses: int
+    steps: int
+    lanes: int
+    tick_ns: float
+    limits: tuple[ChannelLimit, ...]
+
+
+@dataclass(frozen=True)
+class TickPulse:
+    """One pulse in ticks."""
+
+    delay: int
+    width: int
+
+
+@dataclass(frozen=True)
+class TickSchedule:
+    """A schedule as the board holds it.
+
+    Attributes
+    ----------
+    channels : pulses of each channel, in ticks.
+    period : in ticks.
+    busy : for so long after a trigger the board takes no other; shorter than the period by
+        one clock, so that a trigger which is not synchronous can come early.
+    tick_ns : length of a tick.
+    delay_error_ns, width_error_ns, period_error_ns : largest difference to what was asked for.
+    """
+
+    channels: tuple[tuple[TickPulse, ...], ...]
+    period: int
+    busy: int
+    tick_ns: float
+    delay_error_ns: float
+    width_error_ns: float
+    period_error_ns: float
+
+
+def to_ticks(schedule: PulseSchedule, capacity: Capacity, /) -> TickSchedule:
+    """Round a schedule to ticks, having made sure that the board will play it as it stands.
+
+    Raises
+    ------
+    ScheduleError
+        If it does not fit the board, breaks a channel's limits, or pulses coincide without
+        `overlap`.
+    """
+    tick = capacity.tick_ns
+    period = _ticks(schedule.period_ns, tick, "period_ns")
+    shortest = 8 * capacity.lanes
+    if not shortest <= period <= MAX_PERIOD_TICKS:
+        raise ScheduleError(
+            f"period_ns = {schedule.period_ns}: must be from {shortest * tick:g} to "
+            f"{MAX_PERIOD_TICKS * tick:g} ns, in ticks of {tick:g} ns"
+        )
+    if len(schedule.channels) > capacity.channels:
+        raise ScheduleError(f"{len(schedule.channels)} channels: the board has {capacity.channels}")
+    errors: list[tuple[float, float]] = []
+    channels = []
+    for number, pulses in enumerate(schedule.channels):
+        if len(pulses) > capacity.pulses:
+            raise ScheduleError(
+                f"channel {number}: {len(pulses)} pulses, the board has {capacity.pulses} a channel"
+            )
+        made = []
+        for pulse in pulses:
+            made.append(_pulse(pulse, number, schedule.period_ns, period, tick))
+            errors.append(
+                (made[-1].delay * tick - pulse.delay_ns, made[-1].width * tick - pulse.width_ns)
+            )
+        _check_limits(number, made, period, capacity)
+        channels.append(tuple(made))
+    if not schedule.overlap:
+        _check_apart(channels, period, tick)
+    last = max((pulse.delay for pulses in channels for pulse in pulses), default=0)
+    return TickSchedule(
+        channels=tuple(channels),
+        period=period,
+        busy=max(period - capacity.lanes, last + 1),
+        tick_ns=tick,
+        delay_error_ns=max((abs(delay) for delay, _ in errors), default=0.0),
+        width_error_ns=max((abs(width) for _, width in errors), default=0.0),
+        period_error_ns=abs(period * tick - schedule.period_ns),
+    )
+
+
+def _ticks(value_ns: float, tick_ns: float, name: str) -> int:
+    if not math.isfinite(value_ns) or value_ns < 0:
+        raise ScheduleError(f"{name} = {value_ns}: must be a time, 0 or more")
+    return round(value_ns / tick_ns)
+
+
+def _pulse(
+    pulse: ChannelPulse, channel: int, period_ns: float, period: int, tick: float
+) -> TickPulse:
+    delay = _ticks(pulse.delay_ns, tick, f"channel {channel}: delay_ns")
+    width = _ticks(pulse.width_ns, tick, f"channel {channel}: width_ns")
+    if delay >= period:
+        raise ScheduleError(
+            f"channel {channel}: delay_ns = {pulse.delay_ns} is not within the period of "
+            f"{period_ns} ns"
+        )
+    if not 0 < width < period:
+        raise ScheduleError(
+            f"channel {channel}: width_ns = {pulse.width_ns} is {width} ticks of {tick:g} ns: must "
+            f"be at least one tick and less than the period"
+        )
+    return TickPulse(delay, width)
+
+
+def _check_limits(
+    channel: int, pulses: Sequence[TickPulse], period: int, capacity: Capacity
+) -> None:
+    """Play the channel on the board's own limiter until it repeats itself."""
+    limit = capacity.limits[channel]
+    tick = capacity.tick_ns
+    for run in _runs(pulses, period):
+        if run > limit.on_ticks:
+            raise ScheduleError(
+                f"channel {channel}: on for {run * tick:g} ns, the LED bears "
+                f"{limit.on_ticks * tick:g} ns at a time: the board would cut it"
+            )
+    on = sum(pulse.width for pulse in pulses)
+    if limit.duty_divisor == 1:
+        return
+    if on * limit.duty_divisor > period:
+        raise ScheduleError(
+            f"channel {channel}: on for {on * tick:g} of {period * tick:g} ns, the LED bears one "
+            f"part in {limit.duty_divisor}: the board would hold pulses back"
+        )
+    # the board adds up whole clocks, and allows for what a stretch that begins and ends within
+    # clocks can have beyond them
+    allowance = 2 * (capacity.lanes - 1) / limit.duty_divisor
+    worst = max(
+        (
+            sum(_within(p, start, length, period) for p in pulses) - length / limit.duty_divisor
+            for start in (pulse.delay for pulse in pulses)
+            for length in _stretches(pulses, start, period)
+        ),
+        default=0.0,
+    )
+    if worst > limit.burst_ticks - allowance:
+        raise ScheduleError(
+            f"channel {channel}: pulses so close together that the LED is on for "
+            f"{worst * tick:g} ns more than one part in {limit.duty_divisor}; it bears "
+            f"{(limit.burst_ticks - allowance) * tick:g} ns: move them apart"
+        )
+
+
+def _stretches(pulses: Sequence[TickPulse], start: int, period: int) -> list[int]:
+    """Lengths from a pulse's beginning to every pulse's end, within a period."""
+    return [(pulse.delay - start) % period + pulse.width for pulse in pulses]
+
+
+def _within(pulse: TickPulse, start: int, length: int, period: int) -> int:
+    """Ticks of a pulse in a stretch that begins at `start`."""
+    offset = (pulse.delay - start) % period
+    return max(0, min(length, offset + pulse.width) - offset)
+
+
+def _runs(pulses: Sequence[TickPulse], period: int) -> list[int]:
+    """Lengths of the times on, touching and overlapping pulses joined, on the circle."""
+    if not pulses:
+        return []
+    ordered = sorted(pulses, key=lambda pulse: pulse.delay)
+    spans = [(p.delay + turn * period, p.delay + p.width + turn * period)
+             for turn in range(3) for p in ordered]  # fmt: skip
+    runs = [list(spans[0])]
+    for begin, end in spans[1:]:
+        if begin <= runs[-1][1]:
+            runs[-1][1] = max(runs[-1][1], end)
+        else:
+            runs.append([begin, end])
+    return [end - begin for begin, end in runs]
+
+
+def _check_apart(channels: Sequence[Sequence[TickPulse]], period: int, tick: float) -> None:
+    edges = sorted(
+        (pulse.delay, pulse.delay + pulse.width, number)
+        for number, pulses in enumerate(channels)
+        for pulse in pulses
+    )
+    around = [*edges, *((begin + period, end + period, n) for begin, end, n in edges[:1])]
+    for (begin, end, number), (following, _, other) in pairwise(around):
+        if following < end:
+            raise ScheduleError(
+                f"channels {number} and {other}: the pulses at {begin * tick:g} and "
+                f"{following % period * tick:g} ns coincide; if that is meant, ask for overlap"
+            )

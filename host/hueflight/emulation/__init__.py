@@ -1,0 +1,7 @@
+"""The boards in software, behind the interfaces of the real ones."""
+
+from hueflight.emulation.camera_model import CameraModel
+from hueflight.emulation.frame_bank import FrameBank
+from hueflight.emulation.simulated_rig import SimulatedInstrument
+
+__all__ = ["CameraModel", "FrameBank", "SimulatedInstrument"]

@@ -1,0 +1,269 @@
+"""The camera in software, as seen from its endpoints: the one model behind every emulation.
+
+Requests go to the same register file that the gateware is checked against. Frames become due as
+time passes; what the link does not fetch in time is dropped whole, counted and announced.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hueflight.emulation.frame_bank import FrameBank
+from hueflight.model.instrument import Sensor
+from hueflight_protocol import (
+    Event,
+    EventCode,
+    PacketHeader,
+    Register,
+    RegisterFile,
+    Status,
+    camera_map,
+    encode_event,
+    encode_status,
+    encode_test_pattern,
+)
+from hueflight_protocol.wire import PatternKind
+
+CLOCK_HZ = 100_000_000
+LANES = 64  #: a readout takes little time, so that every preset's frame rate is nearly reached
+BUFFER_BYTES = 8 << 20  #: a software clock is late by milliseconds, so it needs more than a board
+_SATURATED = (1 << 32) - 1
+
+
+@dataclass(frozen=True)
+class Sent:
+    """What the model knows to have happened, for comparison with what a host has counted.
+
+    Attributes
+    ----------
+    frames : of all runs, dropped ones too.
+    dropped : for want of room in the buffer.
+    packets : handed to the link, or waiting for it.
+    """
+
+    frames: int = 0
+    dropped: int = 0
+    packets: int = 0
+
+
+class CameraModel:
+    """A camera without silicon.
+
+    Parameters
+    ----------
+    sensor : geometry and code width.
+    bank : what the sensor sees.
+    serial : number of the board.
+    buffer_bytes : packets that may wait for the link.
+    now_s : clock; tests pass their own.
+    """
+
+    def __init__(
+        self,
+        sensor: Sensor,
+        bank: FrameBank,
+        /,
+        *,
+        serial: int = 1,
+        buffer_bytes: int = BUFFER_BYTES,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.bank = bank
+        self.registers = RegisterFile(
+            camera_map(
+                rows=sensor.rows, cols=sensor.cols, code_bits=sensor.code_bits, lanes=LANES,
+                clock_hz=CLOCK_HZ,
+            ),
+            on_write=self._written,
+        )  # fmt: skip
+        self.registers.set("serial", value=serial)
+        self.registers.set("versions", protocol=1, major=1)
+        self.registers.set("features", overlap=1)
+        self._readout_clocks = -(-sensor.rows * sensor.cols // LANES)
+        self._buffer_bytes = buffer_bytes
+        self._now_s = now_s
+        self._lock = threading.RLock()
+        self._answers: deque[bytes] = deque()
+        self._waiting: deque[bytes] = deque()
+        self._waiting_bytes = 0
+        self._powered_s = now_s()
+        self._started_s = 0.0
+        self._frame = self._dropped = self._sent_whole = self._peak = self._sequence = 0
+        self._running = False
+        self.sent = Sent()
+
+    # -- control ------------------------------------------------------------------------------
+
+    def handle(self, message: bytes, /) -> bytes | None:
+        """Answer a control message as the board does."""
+        with self._lock:
+            self.advance()
+            self._publish()
+            return self.registers.handle(message)
+
+    def _publish(self) -> None:
+        """Show the counters in the registers."""
+        registers = self.registers
+        clock = int((self._now_s() - self._powered_s) * CLOCK_HZ)
+        for name, value in (
+            ("uptime", clock),
+            ("timestamp", clock),
+            ("frame", max(0, self._frame - 1)),
+            ("frames_sent", self._sent_whole),
+            ("frames_dropped", min(self._dropped, _SATURATED)),
+            ("buffer_peak", min(self._peak, _SATURATED)),
+            ("sequence", self._sequence),
+        ):
+            registers.set(name, value=value)
+        registers.set("state", running=int(self._running))
+        if self._dropped:
+            registers.set("faults", dropped=1)
+
+    def _written(self, register: Register, _: tuple[int, ...], word: int) -> None:
+        if register.name == "run":
+            asked = register.decode(word)
+            if asked["start"]:
+                self._start()
+            if asked["stop"] or asked["abort"]:
+                self._stop()
+        elif register.name == "test_send":
+            self._send_test()
+
+    def _start(self) -> None:
+        if self._running:
+            self._stop()
+        self._running = True
+        self._started_s = self._now_s()
+        self._frame = self._dropped = self._sent_whole = self._peak = 0
+        self._event(EventCode.RUN_STARTED, self._capture)
+
+    def _stop(self) -> None:
+        if self._running:
+            self._running = False
+            self._event(EventCode.RUN_STOPPED, self._frame)
+
+    def _send_test(self) -> None:
+        fields = self.registers.registers["test_packet"].decode(self.registers.get("test_packet"))
+        self._put(
+            encode_test_pattern(
+                self._header(),
+                pattern=PatternKind(fields["pattern"]),
+                seed=self.registers.get("test_seed"),
+                words=fields["words"],
+            )
+        )
+
+    # -- stream -------------------------------------------------------------------------------
+
+    @property
+    def frame_s(self) -> float:
+        """Time from one frame to the next, as the registers have it."""
+        get = self.registers.get
+        exposed = get("period") * get("exposure") + get("gap")
+        if get("readout"):
+            return max(exposed, self._readout_clocks) / CLOCK_HZ
+        return (exposed + self._readout_clocks) / CLOCK_HZ
+
+    def advance(self) -> None:
+        """Let the time pass: put every frame that is due into the buffer, or drop it."""
+        with self._lock:
+            if not self._running:
+                return
+            frame_s = self.frame_s
+            due = int((self._now_s() - self._started_s) / frame_s)
+            limit = self.registers.get("frame_limit")
+            if limit:
+                due = min(due, limit)
+            while self._frame < due:
+                self._expose(frame_s)
+            if limit and self._frame >= limit:
+                self._stop()
+
+    def _expose(self, frame_s: float) -> None:
+        template = self.bank.template(self._frame)
+        if self._waiting_bytes + len(template) > self._buffer_bytes:
+            self._dropped += 1
+            self.sent = Sent(self.sent.frames + 1, self.sent.dropped + 1, self.sent.packets)
+        else:
+            packet = template.stamp(
+                sequence=self._sequence,
+                timestamp=int(self._frame * frame_s * CLOCK_HZ),
+                frame=self._frame,
+                dropped=min(self._dropped, _SATURATED),
+                capture=self._capture,
+                clock_hz=CLOCK_HZ,
+            )
+            self._sent_whole += 1
+            self.sent = Sent(self.sent.frames + 1, self.sent.dropped, self.sent.packets)
+            self._put(packet)
+        self._frame += 1
+        interval = self.registers.get("status_interval")
+        if interval and self._frame % interval == 0:
+            self._put(encode_status(self._status()))
+
+    def pull(self, limit: int, /) -> bytes:
+        """Bytes for one transfer: what waits, at most `limit`; ``b""`` if nothing does."""
+        with self._lock:
+            self.advance()
+            parts: list[bytes] = []
+            room = limit
+            while self._waiting and room:
+                packet = self._waiting.popleft()
+                if len(packet) > room:
+                    self._waiting.appendleft(packet[room:])
+                    packet = packet[:room]
+                parts.append(packet)
+                room -= len(packet)
+            self._waiting_bytes -= limit - room
+            return b"".join(parts)
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Bytes that the link has not fetched yet."""
+        return self._waiting_bytes
+
+    def reset(self) -> None:
+        """Power lost and come back: registers, counters and buffer as after configuration."""
+        with self._lock:
+            self._running = False
+            self._waiting.clear()
+            self._waiting_bytes = 0
+            self._frame = self._dropped = self._sent_whole = self._peak = self._sequence = 0
+            self._powered_s = self._now_s()
+            registers = self.registers
+            for register in registers.registers:
+                if register.access.writable and not register.count:
+                    registers.set(register.name, **register.decode(register.reset))
+
+    @property
+    def _capture(self) -> int:
+        return self.registers.get("capture")
+
+    def _header(self) -> PacketHeader:
+        return PacketHeader(
+            sequence=self._sequence,
+            timestamp=int((self._now_s() - self._powered_s) * CLOCK_HZ),
+            capture=self._capture,
+        )
+
+    def _event(self, code: EventCode, value: int) -> None:
+        self._put(encode_event(Event(self._header(), code, value=value)))
+
+    def _status(self) -> Status:
+        return Status(
+            self._header(),
+            frames_sent=self._sent_whole,
+            frames_dropped=min(self._dropped, _SATURATED),
+            buffer_peak=min(self._peak, _SATURATED),
+        )
+
+    def _put(self, packet: bytes) -> None:
+        self._sequence = self._sequence + 1 & _SATURATED
+        self._waiting.append(packet)
+        self._waiting_bytes += len(packet)
+        self._peak = max(self._peak, self._waiting_bytes)
+        self.sent = Sent(self.sent.frames, self.sent.dropped, self.sent.packets + 1)

@@ -1,0 +1,1 @@
+"""The joint maximum-likelihood fit: tables, reference implementation, compiled solver."""

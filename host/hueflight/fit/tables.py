@@ -1,0 +1,289 @@
+"""What the joint fit needs to know, worked out once per calibration: tables over the delay.
+
+The fit compares counts with μ_i(τ) = Σ_k A_k T_ki(τ) + b·w_i, where T_ki is band k's share of
+photons in bin i at delay τ and w_i the background's. Tables hold T and its derivative on a fine
+grid of delays, exact on the circle of the period, for unequal bins, for trains of any order.
+Schedules that alternate frame by frame are *views* of the same pixel: their bins stand side by
+side, their delay and amplitudes are common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.model.time_bins import TimeBins
+from hueflight.model.waveforms import Templates
+
+PHASES_PER_FWHM = 50  #: delays in a table; the fit is linear between them
+FINE_BINS_PER_FWHM = 24  #: bins that are narrower are summed: pulses don't need them
+COARSE_BINS_PER_FWHM = 2.75  #: bins of the first search
+RATIOS = (3.0, 15.0, 75.0)  #: peak of a band over background that the first search tries
+BACKGROUND_SHARES = (0.05, 0.2, 0.5)  #: share of background among all counts that it tries
+CROP = 1e-7  #: a share below this part of a band's highest is taken for 0
+ZONE_FLOOR = 0.02  #: a band's zone ends where its share falls to this part of the highest
+
+
+@dataclass(frozen=True, eq=False)
+class ScheduleView:
+    """One schedule's bins and waveforms, and its share of a pixel's exposures."""
+
+    bins: TimeBins
+    templates: Templates
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Tables at one bin width.
+
+    Attributes
+    ----------
+    starts : (bin,) first of the next finer bins that each bin sums: of the sensor's own for the
+        fine level, of the fine ones for all others.
+    widths : (bin,) share of the background.
+    first_ns, phase_ns : delay of the first table and between tables.
+    shares : (phase, band, bin) of a band's photons.
+    slopes : (phase, band, bin) derivative of `shares` by the delay, per ns.
+    """
+
+    starts: NDArray[np.intp]
+    widths: NDArray[np.float32]
+    first_ns: float
+    phase_ns: float
+    shares: NDArray[np.float32]
+    slopes: NDArray[np.float32]
+
+    def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Counts (pixel, finer bin) in this level's bins."""
+        return summed(counts, self.starts)
+
+    def phase_of(self, delay_ns: NDArray[np.floating]) -> NDArray[np.intp]:
+        """Nearest table of each delay."""
+        nearest = np.rint((delay_ns - self.first_ns) / self.phase_ns)
+        return np.clip(nearest, 0, len(self.shares) - 1).astype(np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchTables:
+    """Tables of the first search, over whole lags.
+
+    Every bin belongs to the one band that is brightest in it. A band whose peak stands ρ times
+    above the background b changes the log-likelihood of counts h by Σ_j h_j·log(1 + ρ·x_j) −
+    ρ·b·Σ_j x_j w_j, where x is its shape relative to its peak.
+
+    Attributes
+    ----------
+    starts, widths : as in `Level`.
+    lags_ns : (lag,).
+    gains : (ratio, band, bin, lag) log(1 + ρ·x).
+    costs : (ratio, band, lag) ρ·Σ x w.
+    zones : (band, bin, lag) 1 where a bin counts for a band, else 0.
+    zone_widths, zone_shares : (band, lag) background's and band's share in its zone.
+    separation : lags between which two maxima are two delays, not one.
+    """
+
+    starts: NDArray[np.intp]
+    widths: NDArray[np.float32]
+    lags_ns: NDArray[np.float64]
+    gains: NDArray[np.float32]
+    costs: NDArray[np.float32]
+    zones: NDArray[np.float32]
+    zone_widths: NDArray[np.float32]
+    zone_shares: NDArray[np.float32]
+    separation: int
+
+    def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Counts (pixel, fine bin) in the bins of the search."""
+        return summed(counts, self.starts)
+
+
+@dataclass(frozen=True, eq=False)
+class ModelTables:
+    """All tables of the joint fit.
+
+    Attributes
+    ----------
+    fine, rough : tables at the bin width of the result and at that of the search.
+    coarse : tables of the first search.
+    search_ns : least and greatest delay against the reference.
+    fine_factor, coarse_factor : bins that each one sums: the sensor's for the fine level, fine
+        ones for the search.
+    spread_ns : standard deviation that one photon of a white target leaves to its delay.
+    views : the schedules it is for.
+    """
+
+    coarse: SearchTables
+    rough: Level
+    fine: Level
+    fine_factor: int
+    coarse_factor: int
+    search_ns: tuple[float, float]
+    spread_ns: float
+    views: tuple[ScheduleView, ...]
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return self.fine.shares.shape[1]
+
+
+def make_tables(
+    views: Sequence[ScheduleView],
+    *,
+    shortest_fwhm_ns: float,
+    brightness: NDArray[np.floating],
+    search_ns: tuple[float, float],
+    offsets_ns: tuple[float, float] = (0.0, 0.0),
+) -> ModelTables:
+    """Tables for one schedule, or for several that alternate.
+
+    Parameters
+    ----------
+    views : schedules; each pixel's counts hold their bins in this order.
+    shortest_fwhm_ns : of the pulses.
+    brightness : (band,) photons of a white target, any scale.
+    search_ns : least and greatest delay against the reference.
+    offsets_ns : least and greatest delay of a pixel of its own.
+    """
+    bin_ns = max(view.bins.span_ns / view.bins.count for view in views)
+    fine = max(1, floor(shortest_fwhm_ns / FINE_BINS_PER_FWHM / bin_ns))
+    coarse = max(1, floor(shortest_fwhm_ns / COARSE_BINS_PER_FWHM / (bin_ns * fine)))
+    phase_ns = shortest_fwhm_ns / PHASES_PER_FWHM
+    delays_ns = search_ns[0] + offsets_ns[0], search_ns[1] + offsets_ns[1]
+    sensor_edges = [view.bins.edges_ns for view in views]
+    fine_starts, fine_edges = _grouped(sensor_edges, fine)
+    fine_level = _level(views, fine_starts, fine_edges, delays_ns, phase_ns)
+    white = np.asarray(brightness, np.float64) / np.sum(brightness)
+    step_ns = coarse * fine * bin_ns
+    coarse_bins = _grouped(fine_edges, coarse)
+    rough_level = fine_level
+    if coarse > 1:
+        rough_level = _level(views, *coarse_bins, delays_ns, phase_ns)
+    return ModelTables(
+        coarse=_coarse(views, *coarse_bins, delays_ns, step_ns, shortest_fwhm_ns, white),
+        rough=rough_level,
+        fine=fine_level,
+        fine_factor=fine,
+        coarse_factor=coarse,
+        search_ns=search_ns,
+        spread_ns=_spread(fine_level, white),
+        views=tuple(views),
+    )
+
+
+def summed(counts: NDArray[np.float64], starts: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Sums (pixel, group) of counts (pixel, bin) between successive starts."""
+    if starts.size == counts.shape[-1]:
+        return counts
+    return np.add.reduceat(counts, starts, axis=-1)
+
+
+def _grouped(edges: list[NDArray], factor: int) -> tuple[NDArray[np.intp], list[NDArray]]:
+    """First bin of every group of bins, and each view's edges of groups."""
+    starts, grouped, before = [], [], 0
+    for edge in edges:
+        first = np.arange(0, edge.size - 1, factor)
+        starts.append(first + before)
+        grouped.append(np.append(edge[first], edge[-1]))
+        before += edge.size - 1
+    return np.concatenate(starts), grouped
+
+
+def _widths(views: Sequence[ScheduleView], edges: list[NDArray]) -> NDArray[np.float64]:
+    widths = [
+        view.weight * np.diff(edge) / view.bins.span_ns
+        for view, edge in zip(views, edges, strict=True)
+    ]
+    return np.concatenate(widths) / sum(view.weight for view in views)
+
+
+def _shares(
+    views: Sequence[ScheduleView], edges: list[NDArray], delays_ns: NDArray
+) -> NDArray[np.float64]:
+    """(delay, band, bin) over all views."""
+    whole = sum(view.weight for view in views)
+    parts = [
+        view.templates.shares(edge, delays_ns[:, None]) * (view.weight / whole)
+        for view, edge in zip(views, edges, strict=True)
+    ]
+    return np.concatenate(parts, axis=-1).transpose(1, 0, 2)
+
+
+def _level(
+    views: Sequence[ScheduleView],
+    starts: NDArray[np.intp],
+    edges: list[NDArray],
+    range_ns: tuple[float, float],
+    phase_ns: float,
+) -> Level:
+    first, last = floor(range_ns[0] / phase_ns) - 1, ceil(range_ns[1] / phase_ns) + 1
+    delays_ns = np.arange(first, last + 1) * np.float64(phase_ns)
+    shares = _shares(views, edges, delays_ns)
+    whole = sum(view.weight for view in views)
+    slopes = np.concatenate(
+        [
+            view.templates.slopes(edge, delays_ns[:, None]) * (view.weight / whole)
+            for view, edge in zip(views, edges, strict=True)
+        ],
+        axis=-1,
+    ).transpose(1, 0, 2)
+    empty = shares < CROP * shares.max(axis=(0, 2), keepdims=True)
+    shares[empty] = 0.0
+    slopes[empty] = 0.0
+    return Level(
+        starts=starts,
+        widths=_widths(views, edges).astype(np.float32),
+        first_ns=float(delays_ns[0]),
+        phase_ns=phase_ns,
+        shares=np.ascontiguousarray(shares, np.float32),
+        slopes=np.ascontiguousarray(slopes, np.float32),
+    )
+
+
+def _coarse(
+    views: Sequence[ScheduleView],
+    starts: NDArray[np.intp],
+    edges: list[NDArray],
+    range_ns: tuple[float, float],
+    step_ns: float,
+    shortest_fwhm_ns: float,
+    white: NDArray[np.float64],
+) -> SearchTables:
+    widths = _widths(views, edges)
+    first, last = ceil(range_ns[0] / step_ns - 0.5), floor(range_ns[1] / step_ns + 0.5)
+    lags_ns = np.arange(first, last + 1) * np.float64(step_ns)
+    shares = _shares(views, edges, lags_ns)
+    brightest = (shares * white[:, None]).argmax(axis=1)
+    own = brightest[:, None, :] == np.arange(len(white))[:, None]
+    density = np.where(own, shares, 0.0) / widths
+    shape = density / np.maximum(density.max(axis=(0, 2), keepdims=True), 1e-300)
+    shape[shape < 1e-3] = 0.0
+    zones = own & (shape > ZONE_FLOOR)
+    ratios = np.array(RATIOS)[:, None, None, None]
+    return SearchTables(
+        starts=starts,
+        widths=widths.astype(np.float32),
+        lags_ns=lags_ns,
+        gains=np.log1p(ratios * shape).transpose(0, 2, 3, 1).astype(np.float32),
+        costs=(ratios[..., 0] * (shape * widths).sum(axis=-1))
+        .transpose(0, 2, 1)
+        .astype(np.float32),
+        zones=zones.transpose(1, 2, 0).astype(np.float32),
+        zone_widths=(zones * widths).sum(axis=-1).T.astype(np.float32),
+        zone_shares=(zones * shares).sum(axis=-1).T.astype(np.float32),
+        separation=max(2, round(shortest_fwhm_ns / step_ns)),
+    )
+
+
+def _spread(level: Level, white: NDArray[np.float64]) -> float:
+    """Root of the inverse information of one background-free photon about the delay, ns."""
+    middle = len(level.shares) // 2
+    mean = white @ level.shares[middle]
+    slope = white @ level.slopes[middle]
+    lit = mean > 1e-6 * mean.max()
+    return float(1 / np.sqrt(np.sum(slope[lit] ** 2 / mean[lit]) / mean.sum()))

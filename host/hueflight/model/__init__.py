@@ -1,0 +1,1 @@
+"""What light does: instruments, pulses, time bins, waveforms, spectra, pile-up and schedules."""

@@ -1,0 +1,79 @@
+"""What a histogram handed in by a user must be, checked once at the door."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hueflight.errors import HistogramError
+from hueflight.model.instrument import Instrument
+
+
+def check_histogram(
+    counts: ArrayLike, instrument: Instrument, *, name: str = "histogram"
+) -> NDArray[Any]:
+    """The counts as an array (row, col, code), if they can be that instrument's.
+
+    Raises
+    ------
+    HistogramError
+        If shape or type do not fit, a count is negative or not finite, or nothing was counted.
+    """
+    array = np.asarray(counts)
+    expected = instrument.histogram_shape
+    if array.shape != expected:
+        raise HistogramError(
+            f"{name} has shape {array.shape}; instrument {instrument.name!r} makes "
+            f"(row, col, code) = {expected}. {_shape_advice(array.shape, expected)}"
+        )
+    if array.dtype.kind not in "uif":
+        raise HistogramError(f"{name} has type {array.dtype}: counts must be numbers")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise HistogramError(f"{name}[{where}] is {array[where]}: counts must be finite")
+    if array.dtype.kind in "if" and array.min() < 0:
+        where = tuple(int(i) for i in np.unravel_index(array.argmin(), array.shape))
+        raise HistogramError(f"{name}[{where}] is {array[where]}: counts can't be negative")
+    if not array.any():
+        raise HistogramError(
+            f"{name} is empty: not one frame was counted. Check that the capture ran and that "
+            "the right recording or slice was read"
+        )
+    return array
+
+
+def frames_per_pixel(
+    counts: NDArray[Any], instrument: Instrument, frames: ArrayLike | None
+) -> NDArray[np.float64] | None:
+    """Exposures behind each pixel's counts, shape (row, col).
+
+    `frames` if given (a number or an array (row, col)); else the sum over codes where the
+    sensor reports its empty exposures; else None: it can't be known.
+    """
+    if frames is not None:
+        given = np.broadcast_to(np.asarray(frames, dtype=np.float64), instrument.image_shape)
+        if not (np.isfinite(given).all() and (given > 0).all()):
+            raise HistogramError(f"frames = {frames!r}: must be above 0 and finite")
+        return given
+    if not instrument.sensor.reports_empty:
+        return None
+    return counts.sum(axis=-1, dtype=np.float64)
+
+
+def counters_full(counts: NDArray[Any]) -> NDArray[np.bool_]:
+    """Pixels (row, col) with a counter at the end of its integer type: it may have saturated."""
+    if counts.dtype.kind == "f":
+        return np.zeros(counts.shape[:2], dtype=bool)
+    return (counts == np.iinfo(counts.dtype).max).any(axis=-1)
+
+
+def _shape_advice(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    if sorted(shape) == sorted(expected):
+        return "The axes seem to be in another order: transpose them"
+    if len(shape) == 3 and shape[:2] == expected[:2]:
+        return "The number of codes differs: check sensor.code_bits"
+    if len(shape) == 3 and shape[2] == expected[2]:
+        return "The number of pixels differs: check sensor.rows, cols and scan_steps"
+    return "Check that the histogram belongs to this instrument"

@@ -1,0 +1,425 @@
+"""What an instrument is: bands and their schedule, sensor, lens. Read from TOML, strictly.
+
+An `Instrument` is all that the rest of the host needs to know about where counts came from,
+so that data of any other camera can be used by describing it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import tomllib
+from importlib import resources
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import InstrumentError
+from hueflight.model.pulses import Pulse, gaussian_sigma
+from hueflight.model.time_bins import TimeBins
+
+SPEED_OF_LIGHT_M_PER_NS = 0.299792458  #: exact, SI
+
+
+class _Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A strict, immutable table of the instrument file."""
+
+
+def _positive(where: str, value: float) -> None:
+    if not (isfinite(value) and value > 0):
+        raise InstrumentError(f"{where} = {value!r}: must be a finite number above 0")
+
+
+def _not_negative(where: str, value: float) -> None:
+    if not (isfinite(value) and value >= 0):
+        raise InstrumentError(f"{where} = {value!r}: must be a finite number, 0 or more")
+
+
+class Sensor(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A time-resolving single-photon array and what its codes mean.
+
+    Attributes
+    ----------
+    rows, cols : number of pixels.
+    code_bits : width of a code; a histogram has ``2**code_bits`` codes.
+    bin_width_ns : nominal width of one code.
+    direction : ``"reverse"`` where later photons have smaller codes (the photon starts the
+        converter, a clock stops it), else ``"forward"``.
+    code_zero : ``"no photon"`` where code 0 reports an empty exposure, else ``"bin"``.
+    frame_rate_hz, exposure_ms : readouts per second; time open per frame.
+    pixel_width_um, pixel_height_um : pitch along a row and along a column.
+    scan_steps : positions of a scanned sensor; an image has ``rows * scan_steps`` rows.
+    dark_count_hz : typical dark counts per second and pixel.
+    detection_wavelength_nm, detection_probability : photon detection probability, tabulated.
+    """
+
+    rows: int
+    cols: int
+    code_bits: int
+    bin_width_ns: float
+    direction: Literal["forward", "reverse"] = "forward"
+    code_zero: Literal["no photon", "bin"] = "bin"
+    frame_rate_hz: float | None = None
+    exposure_ms: float | None = None
+    pixel_width_um: float | None = None
+    pixel_height_um: float | None = None
+    scan_steps: int = 1
+    dark_count_hz: float = 0.0
+    detection_wavelength_nm: tuple[float, ...] = ()
+    detection_probability: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("rows", "cols", "scan_steps"):
+            if getattr(self, name) < 1:
+                raise InstrumentError(f"sensor.{name} = {getattr(self, name)}: must be at least 1")
+        if self.rows > 1024 or self.cols > 1024:
+            raise InstrumentError(
+                f"sensor has {self.rows} × {self.cols} pixels; the wire format carries at most "
+                "1024 × 1024: split the sensor or use scan_steps"
+            )
+        if not 1 <= self.code_bits <= 16:
+            raise InstrumentError(f"sensor.code_bits = {self.code_bits}: must be 1 to 16")
+        _positive("sensor.bin_width_ns", self.bin_width_ns)
+        _not_negative("sensor.dark_count_hz", self.dark_count_hz)
+        for name in ("frame_rate_hz", "exposure_ms", "pixel_width_um", "pixel_height_um"):
+            if (value := getattr(self, name)) is not None:
+                _positive(f"sensor.{name}", value)
+        nodes, table = self.detection_wavelength_nm, self.detection_probability
+        if len(nodes) != len(table):
+            raise InstrumentError(
+                f"sensor.detection_wavelength_nm has {len(nodes)} entries but "
+                f"detection_probability has {len(table)}: give one for each"
+            )
+        if any(b <= a for a, b in itertools.pairwise(nodes)):
+            raise InstrumentError(f"sensor.detection_wavelength_nm must rise; it is {nodes}")
+        if any(not 0 <= p <= 1 for p in table):
+            raise InstrumentError(f"sensor.detection_probability must lie in 0..1; it is {table}")
+
+    @property
+    def codes(self) -> int:
+        """Number of codes, 2**code_bits: the length of a histogram's last axis."""
+        return 1 << self.code_bits
+
+    @property
+    def reports_empty(self) -> bool:
+        """Whether code 0 counts the exposures without a photon."""
+        return self.code_zero == "no photon"
+
+
+class Timing(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The pulse train in time.
+
+    Attributes
+    ----------
+    period_ns : one LED train; absent for a sensor whose codes cover one shot, not a circle.
+    pulse_width_ns : electrical width of each LED's drive.
+    latency_ns : when a pulse of delay 0 would arrive from distance 0, within the period.
+    """
+
+    period_ns: float | None = None
+    pulse_width_ns: float = 10.0
+    latency_ns: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.period_ns is not None:
+            _positive("timing.period_ns", self.period_ns)
+        _positive("timing.pulse_width_ns", self.pulse_width_ns)
+        _not_negative("timing.latency_ns", self.latency_ns)
+
+
+class Band(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One LED colour.
+
+    Attributes
+    ----------
+    name : shown to people.
+    wavelength_nm : peak of the emission; emission_fwhm_nm : its full width at half maximum.
+    delay_ns : when it fires in the period; several values for a coded train.
+    pulse_fwhm_ns : width of the optical pulse at half maximum, tail included.
+    pulse_tail_ns : decay constant of its trailing edge; 0 for a Gaussian.
+    power_mw : average optical power while the train runs.
+    """
+
+    name: str
+    wavelength_nm: float
+    delay_ns: float | tuple[float, ...] = 0.0
+    pulse_fwhm_ns: float = 10.0
+    pulse_tail_ns: float = 0.0
+    emission_fwhm_nm: float = 20.0
+    power_mw: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("wavelength_nm", "pulse_fwhm_ns", "emission_fwhm_nm", "power_mw"):
+            _positive(f"band {self.name!r}: {name}", getattr(self, name))
+        _not_negative(f"band {self.name!r}: pulse_tail_ns", self.pulse_tail_ns)
+        if not self.delays_ns:
+            raise InstrumentError(f"band {self.name!r}: delay_ns is empty: give at least one delay")
+        for delay in self.delays_ns:
+            _not_negative(f"band {self.name!r}: delay_ns", delay)
+
+    @property
+    def delays_ns(self) -> tuple[float, ...]:
+        """All firing times of the band within the period."""
+        return self.delay_ns if isinstance(self.delay_ns, tuple) else (self.delay_ns,)
+
+
+class Lens(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A distortion-free lens: the chief ray of a pixel goes through the centre.
+
+    Attributes
+    ----------
+    focal_length_mm : of the lens; f_number : aperture ratio.
+    transmission : share of light that it passes.
+    """
+
+    focal_length_mm: float
+    f_number: float = 1.4
+    transmission: float = 0.9
+
+    def __post_init__(self) -> None:
+        _positive("lens.focal_length_mm", self.focal_length_mm)
+        _positive("lens.f_number", self.f_number)
+        if not 0 < self.transmission <= 1:
+            raise InstrumentError(
+                f"lens.transmission = {self.transmission!r}: must be above 0 and at most 1"
+            )
+
+
+class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Bands, timing, sensor and lens of one instrument. Make it with `load` or `from_toml`."""
+
+    name: str
+    description: str = ""
+    sensor: Sensor
+    timing: Timing = Timing()
+    bands: tuple[Band, ...]
+    lens: Lens | None = None
+
+    def __post_init__(self) -> None:
+        if not self.bands:
+            raise InstrumentError(f"instrument {self.name!r} has no bands: give at least one")
+        names = [band.name for band in self.bands]
+        if len(set(names)) != len(names):
+            raise InstrumentError(f"instrument {self.name!r}: band names repeat: {names}")
+        if self.lens and not (self.sensor.pixel_width_um and self.sensor.pixel_height_um):
+            raise InstrumentError(
+                f"instrument {self.name!r} has a lens but no sensor.pixel_width_um and "
+                "pixel_height_um: give the pixel pitch or leave the lens out"
+            )
+        period = self.timing.period_ns
+        if period is None:
+            return
+        for band in self.bands:
+            if max(band.delays_ns) >= period:
+                raise InstrumentError(
+                    f"band {band.name!r}: delay_ns = {band.delay_ns} lies outside the period "
+                    f"of {period} ns"
+                )
+        needed = TimeBins.codes_needed(period, self.sensor.bin_width_ns)
+        usable = self.sensor.codes - self.sensor.reports_empty
+        if needed > usable:
+            raise InstrumentError(
+                f"a period of {period} ns needs {needed} codes of {self.sensor.bin_width_ns} ns "
+                f"but {self.sensor.code_bits}-bit codes leave {usable}: use wider bins, more "
+                "bits or a shorter period"
+            )
+
+    # -- reading and writing ------------------------------------------------------------------
+
+    @classmethod
+    def presets(cls) -> tuple[str, ...]:
+        """Names that `load` knows without a file."""
+        folder = resources.files("hueflight.model") / "presets"
+        return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+    @classmethod
+    def load(cls, source: str | Path) -> Instrument:
+        """Instrument from a preset's name or the path of a TOML file.
+
+        Raises
+        ------
+        InstrumentError
+            If there is no such preset or file, or its content is not an instrument.
+        """
+        if isinstance(source, str) and source in cls.presets():
+            text = (resources.files("hueflight.model") / "presets" / f"{source}.toml").read_text(
+                "utf-8"
+            )
+            return cls.from_toml(text, where=f"preset {source!r}")
+        path = Path(source)
+        try:
+            text = path.read_text("utf-8")
+        except FileNotFoundError:
+            raise InstrumentError(
+                f"no instrument {str(source)!r}: neither a file nor one of the presets "
+                f"{', '.join(cls.presets())}"
+            ) from None
+        except (OSError, UnicodeDecodeError) as error:
+            raise InstrumentError(f"can't read instrument file {str(path)!r}: {error}") from None
+        return cls.from_toml(text, where=str(path))
+
+    @classmethod
+    def from_toml(cls, text: str, *, where: str = "instrument") -> Instrument:
+        """Instrument from TOML text; `where` names it in errors.
+
+        Raises
+        ------
+        InstrumentError
+            If the text is not TOML, has unknown, missing or ill-typed keys, or contradicts
+            itself.
+        """
+        try:
+            return msgspec.convert(tomllib.loads(text), cls)
+        except tomllib.TOMLDecodeError as error:
+            raise InstrumentError(f"{where} is not TOML: {error}") from None
+        except msgspec.ValidationError as error:
+            # a check of ours arrives wrapped, with its own words as the cause
+            cause = error.__cause__ if isinstance(error.__cause__, InstrumentError) else error
+            raise InstrumentError(f"{where}: {cause}") from None
+        except InstrumentError as error:
+            raise InstrumentError(f"{where}: {error}") from None
+
+    @classmethod
+    def from_json(cls, text: str | bytes, *, where: str = "instrument") -> Instrument:
+        """Instrument from what `to_json` wrote (as stored in recordings and calibrations)."""
+        try:
+            return msgspec.json.decode(text, type=cls)
+        except (msgspec.DecodeError, InstrumentError) as error:
+            raise InstrumentError(f"{where}: {error}") from None
+
+    def to_json(self) -> str:
+        """The whole description as JSON; equal instruments give equal text."""
+        return msgspec.json.encode(self, order="sorted").decode()
+
+    def fingerprint(self) -> str:
+        """Short digest of everything that counts depend on (name and description do not)."""
+        physical = msgspec.structs.replace(self, name="", description="")
+        return hashlib.sha256(physical.to_json().encode()).hexdigest()[:16]
+
+    def differences(self, other: Instrument) -> list[str]:
+        """Where two instruments differ, one line ``key: here != there`` each, names aside."""
+        mine, theirs = _flatten(msgspec.to_builtins(self)), _flatten(msgspec.to_builtins(other))
+        keys = [k for k in {**mine, **theirs} if k not in ("name", "description")]
+        return [
+            f"{key}: {mine.get(key)!r} != {theirs.get(key)!r}"
+            for key in keys
+            if mine.get(key) != theirs.get(key)
+        ]
+
+    def replace(self, **changes: Any) -> Instrument:
+        """A copy with some sections replaced, checked like any other."""
+        return msgspec.structs.replace(self, **changes)
+
+    # -- shapes -------------------------------------------------------------------------------
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """(row, col) of an image, all scan steps stacked."""
+        return self.sensor.rows * self.sensor.scan_steps, self.sensor.cols
+
+    @property
+    def histogram_shape(self) -> tuple[int, int, int]:
+        """(row, col, code) of a histogram."""
+        return (*self.image_shape, self.sensor.codes)
+
+    @property
+    def wavelengths_nm(self) -> NDArray[np.float64]:
+        """Peak wavelength of each band, shape (band,), nm."""
+        return np.array([band.wavelength_nm for band in self.bands])
+
+    # -- time ---------------------------------------------------------------------------------
+
+    def time_bins(self) -> TimeBins:
+        """Codes in order of arrival time, with their nominal edges."""
+        sensor = self.sensor
+        return TimeBins.nominal(
+            codes=sensor.codes,
+            first_code=int(sensor.reports_empty),
+            bin_width_ns=sensor.bin_width_ns,
+            period_ns=self.timing.period_ns,
+            reverse=sensor.direction == "reverse",
+        )
+
+    def pulses(self, band: int) -> tuple[Pulse, ...]:
+        """Optical pulses of a band as they would arrive from distance 0; areas sum to 1."""
+        description = self.bands[band]
+        sigma_ns = gaussian_sigma(description.pulse_fwhm_ns, description.pulse_tail_ns)
+        share = 1 / len(description.delays_ns)
+        return tuple(
+            Pulse(
+                center_ns=self.timing.latency_ns + delay,
+                sigma_ns=sigma_ns,
+                tail_ns=description.pulse_tail_ns,
+                area=share,
+            )
+            for delay in description.delays_ns
+        )
+
+    def band_brightness(self) -> NDArray[np.float64]:
+        """Relative photon rate of each band from a white target, shape (band,), mean 1.
+
+        Optical power × wavelength (photons per joule) × detection probability where tabulated.
+        """
+        wavelength_nm = self.wavelengths_nm
+        rate = np.array([band.power_mw for band in self.bands]) * wavelength_nm
+        if self.sensor.detection_wavelength_nm:
+            rate = rate * np.interp(
+                wavelength_nm,
+                self.sensor.detection_wavelength_nm,
+                self.sensor.detection_probability,
+            )
+        if not rate.any():
+            raise InstrumentError(
+                "sensor.detection_probability is 0 at every band's wavelength: extend the table"
+            )
+        return rate / rate.mean()
+
+    def half_spacing_ns(self) -> float:
+        """Half the smallest gap between two pulses of the train, ns.
+
+        Delays beyond this move a pulse onto its neighbour's place; for one pulse on no circle
+        it is infinite.
+        """
+        period = self.timing.period_ns
+        starts = np.sort([delay for band in self.bands for delay in band.delays_ns])
+        if period is not None:
+            starts = np.append(starts, starts[0] + period)
+        return float(np.diff(starts).min()) / 2 if starts.size > 1 else inf
+
+    # -- geometry -----------------------------------------------------------------------------
+
+    def ray_cosine(self) -> NDArray[np.float64]:
+        """Cosine between each pixel's ray and the optical axis, shape (row, col).
+
+        Times of flight measure along the ray, depth along the axis; 1 without a lens.
+        """
+        x, y = self.ray_slopes()
+        return 1 / np.sqrt(1 + x**2 + y**2)
+
+    def ray_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Metres right and down per metre of depth for each pixel, two arrays (row, col)."""
+        rows, cols = self.image_shape
+        if self.lens is None:
+            return np.zeros((rows, cols)), np.zeros((rows, cols))
+        width_um, height_um = self.sensor.pixel_width_um, self.sensor.pixel_height_um
+        assert width_um is not None  # __post_init__ has seen to it
+        assert height_um is not None
+        to_slope = np.float64(1e-3 / self.lens.focal_length_mm)
+        right = (np.arange(cols) - (cols - 1) / 2) * width_um * to_slope
+        down = (np.arange(rows) - (rows - 1) / 2) * height_um * to_slope
+        return np.broadcast_to(right, (rows, cols)), np.broadcast_to(down[:, None], (rows, cols))
+
+
+def _flatten(tree: Any, path: str = "") -> dict[str, Any]:
+    """Leaves of nested dicts and lists, keyed by dotted path."""
+    if isinstance(tree, dict):
+        items = ((f"{path}.{key}" if path else str(key), value) for key, value in tree.items())
+    elif isinstance(tree, list | tuple) and any(isinstance(v, dict) for v in tree):
+        items = ((f"{path}[{i}]", value) for i, value in enumerate(tree))
+    else:
+        return {path: tree}
+    return {leaf: value for key, sub in items for leaf, value in _flatten(sub, key).items()}

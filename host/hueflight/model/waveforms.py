@@ -1,0 +1,180 @@
+"""Waveform of each band on the circle of the period, measured and free of any pulse model.
+
+A waveform is a periodic cubic spline with coefficients that are never negative; B-splines are
+never negative either, so neither is the waveform. Integrals over bins, however placed on the
+circle, and their derivatives by delay are exact (de Boor, A Practical Guide to Splines, 1978).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from hueflight.model.time_bins import TimeBins
+
+
+@dataclass(frozen=True)
+class Templates:
+    """Waveforms of all bands, each of area 1, as they arrive from the reference target.
+
+    Attributes
+    ----------
+    coefficients : (band, knot) of the cubic B-splines, photons per ns.
+    circle_ns : circumference; a single shot lies on a circle too long for it to wrap.
+    """
+
+    coefficients: NDArray[np.float64]
+    circle_ns: float
+
+    @classmethod
+    def normalized(cls, coefficients: NDArray[np.floating], circle_ns: float) -> Templates:
+        """Templates of area 1 from coefficients of any scale; negative ones become 0."""
+        positive = np.maximum(np.atleast_2d(coefficients), 0.0)
+        knot_ns = circle_ns / positive.shape[-1]
+        return cls(positive / (positive.sum(axis=-1, keepdims=True) * knot_ns), float(circle_ns))
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return self.coefficients.shape[0]
+
+    @property
+    def knot_ns(self) -> float:
+        """Spacing of the spline's knots."""
+        return self.circle_ns / self.coefficients.shape[-1]
+
+    def shares(self, edges_ns: ArrayLike, delay_ns: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Share of each band's light between successive edges when it comes later, (band, bin).
+
+        Delays (…, 1) give (band, …, bin).
+        """
+        return np.diff(self._cumulative(np.asarray(edges_ns, np.float64) - np.asarray(delay_ns)))
+
+    def slopes(self, edges_ns: ArrayLike, delay_ns: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Derivative of `shares` by the delay, per ns, (band, bin)."""
+        return -np.diff(self.density(np.asarray(edges_ns, np.float64) - np.asarray(delay_ns)))
+
+    def density(self, time_ns: ArrayLike) -> NDArray[np.float64]:
+        """Light per ns at given times, (band, time)."""
+        cell, phase = self._cell(np.asarray(time_ns, np.float64))
+        knots = self.coefficients.shape[-1]
+        return sum(
+            (
+                self.coefficients[:, (cell + offset) % knots] * b_spline(phase - offset)
+                for offset in range(-1, 3)
+            ),
+            start=np.zeros((self.bands, *cell.shape)),
+        )
+
+    def _cumulative(self, time_ns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Light since time 0, going up by 1 with every turn of the circle, (band, time)."""
+        cell, phase = self._cell(time_ns)
+        knots = self.coefficients.shape[-1]
+        running = np.cumsum(self.coefficients, axis=-1)
+        turn, place = np.divmod(cell - 2, knots)
+        total = running[:, place] + np.multiply.outer(running[:, -1], turn)
+        for offset in range(-1, 3):
+            total = total + self.coefficients[:, (cell + offset) % knots] * b_spline_integral(
+                phase - offset
+            )
+        return total * self.knot_ns
+
+    def _cell(self, time_ns: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        position = time_ns / self.knot_ns
+        cell = np.floor(position)
+        return cell.astype(np.intp), position - cell
+
+
+def b_spline(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cubic B-spline of unit knots centred on 0, area 1."""
+    size = np.abs(x)
+    inner = 2 / 3 - size**2 + size**3 / 2
+    outer = np.maximum(2 - size, 0) ** 3 / 6
+    return np.where(size < 1, inner, outer)
+
+
+def b_spline_integral(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integral of `b_spline` from −∞."""
+    size = np.minimum(np.abs(x), 2.0)
+    inner = 2 * size / 3 - size**3 / 3 + size**4 / 8
+    outer = 0.5 - (2 - size) ** 4 / 24
+    return 0.5 + np.copysign(np.where(size < 1, inner, outer), x)
+
+
+def circle_of(bins: TimeBins) -> float:
+    """Circumference to put the waveforms of some bins on, ns."""
+    return bins.span_ns * 2 if bins.period_ns is None else bins.period_ns
+
+
+def design_matrix(
+    edges_ns: NDArray[np.floating], knots: int, circle_ns: float
+) -> sparse.csr_matrix:
+    """Integral of every knot's B-spline over every bin, (bin, knot), so that shares = M c."""
+    knot_ns = circle_ns / knots
+    position = np.asarray(edges_ns, np.float64) / knot_ns
+    bins = position.size - 1
+    first = np.floor(position[:-1]).astype(np.intp) - 1
+    last = np.floor(position[1:]).astype(np.intp) + 2
+    offsets = np.arange(int((last - first).max()) + 1)
+    index = first[:, None] + offsets
+    weight = knot_ns * (
+        b_spline_integral(position[1:, None] - index)
+        - b_spline_integral(position[:-1, None] - index)
+    )
+    rows = np.broadcast_to(np.arange(bins)[:, None], index.shape)
+    return sparse.csr_matrix(
+        (weight.ravel(), (rows.ravel(), (index % knots).ravel())), shape=(bins, knots)
+    )
+
+
+def fit_waveform(
+    counts: NDArray[np.floating],
+    offsets_ns: NDArray[np.floating],
+    bins: TimeBins,
+    *,
+    knots: int,
+    background: NDArray[np.floating],
+    support: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Spline coefficients (knot,) that best explain counts of one waveform.
+
+    Weighted least squares with model variances. Pixels come in groups of equal delay: a group
+    sees the waveform at its own phase, so that delays sharpen the result and do not blur it.
+
+    Parameters
+    ----------
+    counts : (group, bin) in time order.
+    offsets_ns : (group,) how much later the light reaches the group.
+    background : (group, bin) counts that are not of this waveform.
+    support : (knot,) where the waveform may differ from 0.
+    """
+    circle_ns = circle_of(bins)
+    share = counts.sum(axis=-1) - background.sum(axis=-1)
+    share = np.maximum(share, 0) / max(share[share > 0].sum(), 1e-300)
+    chosen = np.flatnonzero(support)
+    normal = np.zeros((chosen.size, chosen.size))
+    right = np.zeros(chosen.size)
+    signal = counts - background
+    for group in np.flatnonzero(share):
+        matrix = share[group] * design_matrix(bins.edges_ns - offsets_ns[group], knots, circle_ns)
+        matrix = matrix[:, chosen]
+        weight = 1 / np.maximum(_smoothed(counts[group]), 1.0)
+        weighted = matrix.multiply(weight[:, None]).tocsr()
+        normal += (weighted.T @ matrix).toarray()
+        right += weighted.T @ signal[group]
+    # a whisper of smoothness: knots that no bin tells apart must not ring
+    ridge = 1e-9 * np.trace(normal) / max(chosen.size, 1)
+    bend = np.diff(np.eye(chosen.size), n=2, axis=0) if chosen.size > 2 else np.eye(chosen.size)
+    solution = np.linalg.solve(normal + ridge * (bend.T @ bend) + 1e-12 * ridge, right)
+    coefficients = np.zeros(knots)
+    coefficients[chosen] = np.maximum(solution, 0)
+    return coefficients
+
+
+def _smoothed(counts: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Mean of each count with its neighbours: variances that don't follow single photons."""
+    padded = np.concatenate([counts[-1:], counts, counts[:1]])
+    return np.convolve(padded, [0.25, 0.5, 0.25], mode="valid")

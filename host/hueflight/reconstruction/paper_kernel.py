@@ -1,0 +1,126 @@
+"""The paper's method behind its definition: what the compiled kernel takes, made ready once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.calibration import Calibration
+from hueflight.fit.solver import COUNT_TYPES, chosen_backend, compiled_kernel
+
+TILE_PIXELS = 1024  #: pixels made ready at once
+
+_ready: WeakKeyDictionary[Calibration, Ready | None] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Search:
+    """The correlation's lags in bins: how far is searched, and half the centroid's window."""
+
+    search: int
+    half_width: float
+    most: int
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Of each pixel: delay in bins, its deviation, sums (pixel, band), counts per code."""
+
+    delay: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    sums: NDArray[np.float64]
+    background: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A calibration as the kernel reads it.
+
+    Attributes
+    ----------
+    reference : (pixel, bin) whole counts, continued around the circle by as many bins on both
+        sides as there are lags.
+    """
+
+    numbers: NDArray[np.int32]
+    half_width: NDArray[np.float64]
+    windows: NDArray[np.int32]
+    gaps: NDArray[np.int32]
+    reference: NDArray[np.uint16]
+    pixel_delays: NDArray[np.float64]
+
+
+def measure(
+    light: NDArray[Any],
+    pixels: NDArray[np.int64],
+    photons: float,
+    calibration: Calibration,
+    search: Search,
+    outside: NDArray[np.bool_],
+) -> Measured | None:
+    """Measure pixels by the kernel; None where it is not there, or not for these numbers.
+
+    Parameters
+    ----------
+    light : (pixel, bin) counts in time order.
+    pixels : those to measure.
+    photons : the most that a pixel holds.
+    outside : (bin,) bins that belong to no window.
+    """
+    if light.dtype not in COUNT_TYPES[:2] or chosen_backend(1) == "numpy":
+        return None
+    if calibration not in _ready:
+        _ready[calibration] = _made_ready(calibration, search, outside)
+    ready = _ready[calibration]
+    if ready is None or photons * (search.half_width + 2) >= 2**31:  # its sums are of 32 bits
+        return None
+    kernel = compiled_kernel()
+    assert kernel is not None  # chosen_backend has seen to it
+    count, bands = len(pixels), len(calibration.instrument.bands)
+    delay, deviation, background = (np.empty(count) for _ in range(3))
+    sums = np.empty((count, bands))
+    kernel.correlations(
+        light,
+        np.ascontiguousarray(pixels, np.int64),
+        *(ready.numbers, ready.half_width, ready.windows, ready.gaps),
+        *(ready.reference, ready.pixel_delays),
+        *(delay, deviation, sums, background),
+    )
+    return Measured(delay, deviation, sums, background)
+
+
+def _made_ready(
+    calibration: Calibration, search: Search, outside: NDArray[np.bool_]
+) -> Ready | None:
+    """None if the reference does not consist of whole counts of 16 bits, or its sums overflow."""
+    counts = calibration.reference.reshape(-1, calibration.bins.count)
+    reach = round(search.half_width)
+    highest = min(np.iinfo(np.uint16).max, 2**32 // (reach + 1) ** 2)  # its slopes are of 32 bits
+    around = np.arange(-search.most, counts.shape[1] + search.most) % counts.shape[1]
+    reference = np.empty((len(counts), around.size), np.uint16)
+    for start in range(0, len(counts), TILE_PIXELS):
+        tile = counts[start : start + TILE_PIXELS]
+        if not ((tile >= 0) & (tile <= highest)).all():
+            return None
+        whole = tile.astype(np.uint16)
+        if (whole != tile).any():
+            return None
+        reference[start : start + TILE_PIXELS] = whole[:, around]
+    steps = np.diff(np.concatenate([[0], outside.astype(np.int8), [0]]))
+    gaps = np.stack([np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)], axis=-1)
+    circular = calibration.bins.period_ns is not None
+    bands = len(calibration.instrument.bands)
+    numbers = (search.search, reach, search.most, circular, bands, outside.sum())
+    windows = [(window.band, window.start, window.stop) for window in calibration.windows]
+    return Ready(
+        numbers=np.array(numbers, np.int32),
+        half_width=np.array([search.half_width]),
+        windows=np.array(windows, np.int32),
+        gaps=gaps.astype(np.int32),
+        reference=reference,
+        pixel_delays=np.ascontiguousarray(calibration.pixel_delay.ravel(), np.float64),
+    )

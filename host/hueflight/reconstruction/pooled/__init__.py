@@ -1,0 +1,1 @@
+"""Images from few photons per pixel, estimated over adaptive neighbourhoods."""

@@ -1,0 +1,401 @@
+"""Loops over photons and over neighbours, compiled where that could be: the same either way.
+
+Few photons are handled one by one, not by histogram: a list of arrival times per pixel. What a
+pixel lacks its neighbours lend, each with a weight between 0 and 1 that falls with distance and
+to 0 where the pixel's own pool so far says that the neighbour shows something else (propagation
+and separation: Polzehl and Spokoiny, J. R. Stat. Soc. B 62, 335, 2000).
+
+The compiled loops are taken where they were built; ``HUEFLIGHT_KERNELS=numpy`` or ``=c`` chooses
+by hand.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import HueflightError
+
+LANES = 16  #: pixels that the compiled loop takes side by side
+MOST_PLANES, MOST_GROUPS = 40, 8  #: that it has room for
+
+ENTRIES = 12  #: a pixel that photons are at first given room for
+
+Floats = NDArray[np.float32]
+Result = TypeVar("Result")
+
+
+def compiled() -> ModuleType | None:
+    """The compiled loops, or None for those in NumPy.
+
+    Raises
+    ------
+    HueflightError
+        If HUEFLIGHT_KERNELS asks for what is not there.
+    """
+    wish = os.environ.get("HUEFLIGHT_KERNELS", "")
+    if wish not in ("", "c", "numpy"):
+        raise HueflightError(f"HUEFLIGHT_KERNELS = {wish!r}: must be 'c' or 'numpy'")
+    if wish == "numpy":
+        return None
+    try:
+        return import_module("hueflight.reconstruction.pooled._kernels")
+    except ImportError:
+        if wish == "c":
+            raise HueflightError(
+                "HUEFLIGHT_KERNELS = 'c', but the loops were not compiled: install with a C "
+                "compiler, or leave the choice open"
+            ) from None
+        return None
+
+
+def in_parts(
+    work: Callable[[tuple[int, int]], Result], items: int, parts: int, threads: int
+) -> list[Result]:
+    """Results of work on stretches (first, one past the last) of some items, in order."""
+    edges = np.linspace(0, items, max(1, min(parts, items)) + 1).round().astype(int).tolist()
+    stretches = list(itertools.pairwise(edges))
+    if threads == 1 or len(stretches) == 1:
+        return [work(stretch) for stretch in stretches]
+    return list(_workers(threads).map(work, stretches))
+
+
+@cache
+def _workers(threads: int) -> ThreadPoolExecutor:
+    """Threads that wait for work: starting them anew for each loop costs as much as some loops."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="pooling")
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has the pool but not its threads
+    os.register_at_fork(after_in_child=_workers.cache_clear)
+
+
+@dataclass(frozen=True)
+class Photons:
+    """Arrival times of pixels, one pixel after another.
+
+    Attributes
+    ----------
+    starts : int64 (pixel + 1,) first entry of each pixel.
+    times_ns : (entry,) within the period, the pixel's own delay taken off.
+    weights : (entry,) photons that share the time.
+    """
+
+    starts: NDArray[np.int64]
+    times_ns: Floats
+    weights: Floats
+
+    @property
+    def pixels(self) -> int:
+        """Number of pixels."""
+        return self.starts.size - 1
+
+    @property
+    def owners(self) -> NDArray[np.intp]:
+        """(entry,) pixel of each entry."""
+        return np.repeat(np.arange(self.pixels), np.diff(self.starts))
+
+    def part(self, stretch: tuple[int, int]) -> Photons:
+        """Photons of a stretch of pixels."""
+        starts = self.starts[stretch[0] : stretch[1] + 1]
+        entries = slice(starts[0], starts[-1])
+        return Photons(starts - starts[0], self.times_ns[entries], self.weights[entries])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Photons]) -> Photons:
+        """Photons of stretches one after another."""
+        before = np.cumsum([0] + [part.times_ns.size for part in parts[:-1]])
+        starts = [part.starts[1:] + first for part, first in zip(parts, before, strict=True)]
+        return cls(
+            np.concatenate([np.zeros(1, np.int64), *starts]),
+            np.concatenate([part.times_ns for part in parts]),
+            np.concatenate([part.weights for part in parts]),
+        )
+
+    def sums(self, values: NDArray[np.floating]) -> Floats:
+        """(pixel,) sums of (entry,) values."""
+        return np.bincount(self.owners, values, self.pixels).astype(np.float32)
+
+
+def list_photons(
+    counts: NDArray[Any], times_ns: Floats, offsets_ns: Floats, period_ns: float
+) -> Photons:
+    """Photons of histograms.
+
+    Parameters
+    ----------
+    counts : (pixel, code).
+    times_ns : (code,) arrival that a code stands for, below 0 for codes that are no photon.
+    offsets_ns : (pixel,) delay of the pixel's own.
+    """
+    period = np.array([period_ns], np.float32)
+    native = compiled()
+    if native is None:
+        pixel, code = np.nonzero(np.where(times_ns >= 0, counts, 0))
+        starts = np.zeros(len(counts) + 1, np.int64)
+        np.cumsum(np.bincount(pixel, minlength=len(counts)), out=starts[1:])
+        time = times_ns[code] - offsets_ns[pixel]
+        time -= np.floor(time / period) * period
+        return Photons(
+            starts, np.where(time < period, time, 0), counts[pixel, code].astype(np.float32)
+        )
+    if counts.dtype not in (np.uint16, np.uint32, np.float32):
+        counts = counts.astype(np.float32)
+    given = (np.ascontiguousarray(counts), times_ns, offsets_ns, period)
+    starts = np.zeros(len(counts) + 1, np.int64)
+    room = ENTRIES * len(counts) + times_ns.size
+    while True:
+        time, weight = np.empty((2, room), np.float32)
+        native.list(*given, starts, time, weight)
+        if starts[-1] + times_ns.size <= room:
+            return Photons(starts, time[: starts[-1]], weight[: starts[-1]])
+        room = int(starts[-1]) + times_ns.size
+
+
+def lag_likelihood(
+    photons: Photons, table: Floats, cells_per_ns: float, lags: NDArray[np.int32]
+) -> Floats:
+    """Log-likelihood (pixel, lag) of delays of whole cells of a table (cell,) of the circle."""
+    result = np.zeros((photons.pixels, lags.size), np.float32)
+    native = compiled()
+    if native is not None:
+        scale = np.array([cells_per_ns], np.float32)
+        native.lags(
+            photons.starts, photons.times_ns, photons.weights, table, scale, lags, result
+        )  # fmt: skip
+        return result
+    cell = _cells(photons, np.float32(0), cells_per_ns, table.size)
+    for index, lag in enumerate(lags):
+        result[:, index] = photons.sums(photons.weights * table[(cell - lag) % table.size])
+    return result
+
+
+def slot_counts(
+    photons: Photons, delays_ns: Floats, slots: NDArray[np.int8], cells_per_ns: float, count: int
+) -> Floats:
+    """Photons (slot, pixel) by the slot (cell,) that their time after the delay falls into."""
+    result = np.zeros((count, photons.pixels), np.float32)
+    native = compiled()
+    if native is not None:
+        scale = np.array([cells_per_ns], np.float32)
+        native.slots(
+            photons.starts, photons.times_ns, photons.weights, delays_ns, slots, scale, result
+        )  # fmt: skip
+        return result
+    cell = _cells(photons, delays_ns[photons.owners], cells_per_ns, slots.size)
+    np.add.at(result, (slots[cell], photons.owners), photons.weights)
+    return result
+
+
+def scores(
+    photons: Photons,
+    delays_ns: Floats,
+    shares: Floats,
+    slopes: Floats,
+    cells_per_ns: float,
+    amplitudes: Floats,
+    floors: Floats,
+) -> tuple[Floats, Floats]:
+    """Score (pixel,) of the delay and what its photons tell of it.
+
+    Parameters
+    ----------
+    shares, slopes : (cell, band) waveforms per ns and their derivative by time.
+    amplitudes : (pixel, band).
+    floors : (pixel,) background per ns.
+    """
+    native = compiled()
+    if native is not None:
+        score, information = np.empty((2, photons.pixels), np.float32)
+        scale = np.array([cells_per_ns], np.float32)
+        native.scores(
+            photons.starts, photons.times_ns, photons.weights, delays_ns, shares, slopes,
+            np.ascontiguousarray(amplitudes), floors, scale, score, information,
+        )  # fmt: skip
+        return score, information
+    owners = photons.owners
+    cell = _cells(photons, delays_ns[owners], cells_per_ns, len(shares))
+    seen = amplitudes[owners]
+    rate = floors[owners] + (seen * shares[cell]).sum(axis=-1)
+    slope = -(seen * slopes[cell]).sum(axis=-1) / rate
+    return photons.sums(photons.weights * slope), photons.sums(photons.weights * slope**2)
+
+
+def _cells(
+    photons: Photons, delays_ns: Floats | np.float32, cells_per_ns: float, cells: int
+) -> NDArray[np.intp]:
+    place = (photons.times_ns - delays_ns) * np.float32(cells_per_ns)
+    return np.floor(place).astype(np.intp) % cells
+
+
+# -- neighbours -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """Sums over neighbours.
+
+    Attributes
+    ----------
+    sums : (plane, row, col), each neighbour's data times its weight.
+    weight, squares : (row, col) sums of the weights and of their squares.
+    depth_squares : (row, col) sum of the squares of the weights that hold for the depth.
+    """
+
+    sums: Floats
+    weight: Floats
+    squares: Floats
+    depth_squares: Floats
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """What a pixel's pool so far says of it, by which neighbours are judged.
+
+    Attributes
+    ----------
+    means : (group, row, col) photons per pixel in groups of bands.
+    delays_ns : (row, col).
+    pixels : (row, col) so many count in the pool so far.
+    information : (row, col) of the pool on the delay, per ns².
+    """
+
+    means: Floats
+    delays_ns: Floats
+    pixels: Floats
+    information: Floats
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Log-likelihood ratio at which a neighbour no longer counts at all.
+
+    Attributes
+    ----------
+    colour : for the spectrum; depth_colour : for the depth, where it is about another colour;
+    depth : for either, where it is about another depth.
+    """
+
+    colour: float
+    depth_colour: float
+    depth: float
+
+
+def neighbours(radius: float) -> tuple[NDArray[np.int32], Floats]:
+    """Steps (neighbour, 2) in row and col within a radius, and the kernel 1 − (d/radius)²."""
+    reach = int(np.ceil(radius))
+    steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    kernel = 1 - (steps**2).sum(axis=-1) / radius**2
+    near = kernel > 0
+    return np.ascontiguousarray(steps[near], np.int32), kernel[near].astype(np.float32)
+
+
+def pool(
+    data: Floats,
+    spectral: int,
+    valid: NDArray[np.bool_],
+    active: NDArray[np.bool_],
+    like: Likeness,
+    radius: float,
+    limits: Limits,
+    *,
+    threads: int = 1,
+) -> Pooled:
+    """Sums over the neighbours that look alike.
+
+    Parameters
+    ----------
+    data : (plane, row, col); the first `spectral` planes are summed with the weights for
+        spectra, the others with those for the depth.
+    valid : (row, col) pixels that may lend.
+    active : (row, col) pixels that are asked for; others may be left at 0.
+    like : what is known so far.
+    radius : in pixels.
+    """
+    planes, rows, cols = data.shape
+    steps, kernel = neighbours(radius)
+    rim = int(np.abs(steps).max(initial=0))
+    roots = np.sqrt(like.means)
+    native = compiled()
+    if planes > MOST_PLANES or like.means.shape[0] > MOST_GROUPS:
+        native = None
+
+    def padded(values: NDArray[Any]) -> Floats:
+        edges = [(0, 0)] * (values.ndim - 2) + [(rim, rim), (rim, rim + LANES)]
+        return np.pad(np.asarray(values, np.float32), edges)
+
+    spread = [padded(values) for values in (roots, like.delays_ns, valid, data)]
+    # of counts n·μ and n·ν the log-likelihood ratio is about 2n·(√μ − √ν)²
+    trust = np.ascontiguousarray(2 * like.pixels, np.float32)
+    information = np.ascontiguousarray(like.information / 2, np.float32)
+    result = np.zeros((planes + 3, rows, cols), np.float32)
+    inverse = np.array([1 / limits.colour, 1 / limits.depth_colour, 1 / limits.depth], np.float32)
+
+    def some_rows(part: tuple[int, int]) -> None:
+        if native is None:
+            first, last = part
+            result[:, first:last] = _pool_rows(
+                first, last, cols, rim, inverse, steps, kernel, spread, spectral, trust, information
+            )
+            return
+        sizes = np.array(
+            [*part, rows, cols, rim, len(roots), planes, spectral], np.int32
+        )  # fmt: skip
+        native.pool(
+            sizes, inverse, steps, kernel, *spread, trust, information,
+            np.ascontiguousarray(active, np.uint8), result,
+        )  # fmt: skip
+
+    in_parts(some_rows, rows, 4 * threads if threads > 1 else 1, threads)
+    return Pooled(result[:planes], *result[planes:])
+
+
+def _pool_rows(
+    first: int,
+    last: int,
+    cols: int,
+    rim: int,
+    inverse: Floats,
+    steps: NDArray[np.int32],
+    kernel: Floats,
+    spread: list[Floats],
+    spectral: int,
+    trust: Floats,
+    information: Floats,
+) -> Floats:
+    """The definition: rows of `pool`."""
+
+    def moved(values: Floats, row: int, col: int) -> Floats:
+        return values[
+            ..., first + rim + row : last + rim + row, rim + col : rim + col + cols
+        ]  # fmt: skip
+
+    def weight(rest: Floats) -> Floats:
+        return np.clip(2 * rest, 0, 1)
+
+    roots, delays, valid, data = spread
+    here, delay = moved(roots, 0, 0), moved(delays, 0, 0)
+    sums = np.zeros((len(data) + 3, last - first, cols), np.float32)
+    for (row, col), near in zip(steps, kernel, strict=True):
+        apart = ((moved(roots, row, col) - here) ** 2).sum(axis=0) * trust[first:last]
+        away = (moved(delays, row, col) - delay) ** 2 * information[first:last] * inverse[2]
+        most = near * moved(valid, row, col)
+        alike = most * weight(1 - apart * inverse[0] - away)
+        level = most * weight(1 - apart * inverse[1] - away)
+        there = moved(data, row, col)
+        sums[:spectral] += alike * there[:spectral]
+        sums[spectral:-3] += level * there[spectral:]
+        sums[-3] += alike
+        sums[-2] += alike**2
+        sums[-1] += level**2
+    return sums

@@ -1,0 +1,104 @@
+"""Waveforms on the cells of the circle, and the slots that each band has to itself in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.calibration import Calibration
+from hueflight.errors import HueflightError
+from hueflight.reconstruction.pooled.kernels import Floats
+
+CELLS_PER_FWHM = 90  #: of the shortest pulse
+COLOURS = 2  #: groups of bands by wavelength that tell neighbours apart
+LIT = 0.02  #: of its peak: where a pulse is weaker, the slot is background's
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """Waveforms on the cells of the circle, as they arrive from the reference.
+
+    Attributes
+    ----------
+    period_ns, cells_per_ns : the circle and its cells.
+    fwhm_ns : of the shortest pulse.
+    shares, slopes : (cell, band) light per ns and its derivative by time.
+    white : (band,) share of each in the light of a white target.
+    slots : (cell,) band whose pulse is strongest there, or one more for the background.
+    unmixing : (band + 1, slot) from photons in slots to amplitudes and background.
+    groups : (slot, group) 1 where a slot belongs to a group.
+    quiet : (cell,) where no delay within the search brings light.
+    """
+
+    period_ns: float
+    cells_per_ns: float
+    fwhm_ns: float
+    shares: Floats
+    slopes: Floats
+    white: NDArray[np.float64]
+    slots: NDArray[np.int8]
+    unmixing: Floats
+    groups: Floats
+    quiet: NDArray[np.bool_]
+
+    @property
+    def bands(self) -> int:
+        """Number of bands."""
+        return self.white.size
+
+
+_tables: WeakKeyDictionary[Calibration, dict[tuple[float, float], Tables]] = WeakKeyDictionary()
+
+
+def tables_for(calibration: Calibration, search_ns: tuple[float, float]) -> Tables:
+    """Tables of a calibration; made once and kept as long as it lives."""
+    made = _tables.setdefault(calibration, {})
+    if search_ns not in made:
+        made[search_ns] = _make_tables(calibration, search_ns)
+    return made[search_ns]
+
+
+def _make_tables(calibration: Calibration, search_ns: tuple[float, float]) -> Tables:
+    period_ns = calibration.bins.period_ns
+    if period_ns is None:
+        raise HueflightError(
+            f"instrument {calibration.instrument.name!r} has no period: pooling of photons is "
+            "for trains of pulses; use method='joint'"
+        )
+    fwhm_ns = min(band.pulse_fwhm_ns for band in calibration.instrument.bands)
+    cells = int(np.ceil(CELLS_PER_FWHM * period_ns / fwhm_ns))
+    cell_ns = period_ns / cells
+    middles_ns = (np.arange(cells) + 0.5) * cell_ns
+    shares = calibration.templates.density(middles_ns).T
+    edges_ns = np.arange(cells + 1) * cell_ns
+    slopes = np.diff(calibration.templates.density(edges_ns)).T / cell_ns
+    bands = shares.shape[1]
+    white = calibration.brightness / calibration.brightness.sum()
+    strongest = (shares * white).argmax(axis=1)
+    relative = (shares / shares.max(axis=0))[np.arange(cells), strongest]
+    slots = np.where(relative > LIT, strongest, bands)
+    inside = np.eye(bands + 1)[slots]  # cell, slot
+    mixing = np.column_stack([inside.T @ shares * cell_ns, inside.sum(axis=0) / cells])
+    order = np.argsort(np.argsort(calibration.instrument.wavelengths_nm))
+    groups = np.zeros((bands + 1, COLOURS + 1))
+    # more light at long waves is common to LEDs, detectors and paints: split where a third is left
+    groups[np.arange(bands), np.where(order < bands / 3, 0, 1)] = 1
+    groups[bands, COLOURS] = 1
+    reach = int(np.ceil(max(abs(bound) for bound in search_ns) / cell_ns))
+    lit = np.append(slots, slots) < bands
+    near = np.convolve(np.tile(lit, 2).astype(float), np.ones(2 * reach + 1), mode="same") > 0
+    return Tables(
+        period_ns=period_ns,
+        cells_per_ns=1 / cell_ns,
+        fwhm_ns=fwhm_ns,
+        shares=shares.astype(np.float32),
+        slopes=slopes.astype(np.float32),
+        white=white,
+        slots=slots.astype(np.int8),
+        unmixing=np.linalg.pinv(mixing).astype(np.float32),
+        groups=groups.astype(np.float32),
+        quiet=~near[cells : 2 * cells],
+    )

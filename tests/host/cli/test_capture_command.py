@@ -1,0 +1,80 @@
+"""`hueflight capture` as people call it, on the simulated instrument."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from hueflight.recording import open_recording
+
+COMMAND = [sys.executable, "-c", "from hueflight.cli import main; main()", "capture"]
+PATIENCE_S = 60
+
+
+@pytest.fixture(scope="module")
+def instrument(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    text = (resources.files("hueflight.model") / "presets" / "paper.toml").read_text("utf-8")
+    text = re.sub(r"(?m)^rows = 192$", "rows = 12", text)
+    path = tmp_path_factory.mktemp("instrument") / "small.toml"
+    path.write_text(re.sub(r"(?m)^cols = 128$", "cols = 8", text))
+    return path
+
+
+def test_one_led_at_a_time(instrument: Path, tmp_path: Path) -> None:
+    out = tmp_path / "bands.mcap"
+    options = ["--simulate", "--frames", "40", "--instrument", str(instrument), "--json"]
+    finished = subprocess.run(
+        [*COMMAND, "bands", *options, "-o", str(out)],
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    summary = json.loads(finished.stdout)
+    assert (summary["exposed"], summary["recorded_frames"]) == (9 * 40, 9 * 40)
+    assert summary["simulated"]
+    with open_recording(out) as recording:
+        counts = recording.histograms_by_step()
+        assert recording.info().as_dict()["metadata"]["simulated"] == "true"
+    assert counts.shape == (9, 12, 8, 512)
+    assert (counts.sum(axis=-1) == 40).all()
+
+
+def test_ctrl_c_finishes_the_recording(instrument: Path, tmp_path: Path) -> None:
+    out = tmp_path / "scene.mcap"
+    part = tmp_path / "scene.mcap.part"
+    options = ["--simulate", "--instrument", str(instrument), "--json"]
+    process = subprocess.Popen(
+        [*COMMAND, "scene", *options, "-o", str(out)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + PATIENCE_S
+    while not (part.exists() and part.stat().st_size > 10_000):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    summary = json.loads(output)
+    assert summary["recorded_frames"] == summary["delivered"] == summary["exposed"] > 0
+    assert not part.exists()
+    with open_recording(out) as recording:
+        assert recording.info().as_dict()["complete"]
+
+
+def test_no_camera_is_said_with_a_way_out(instrument: Path, tmp_path: Path) -> None:
+    pytest.importorskip("usb", reason="pyusb is not installed (extra devices)")
+    options = ["--no-simulate", "--camera", "NONE", "--instrument", str(instrument)]
+    finished = subprocess.run(
+        [*COMMAND, "scene", *options, "-o", str(tmp_path / "x.mcap")],
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert finished.returncode == 1
+    assert "Traceback" not in finished.stderr
+    assert "--simulate" in finished.stderr or "libusb" in finished.stderr

@@ -1,0 +1,137 @@
+"""The illuminator as the lights of captures, over a pseudo terminal and real pyserial."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+pytest.importorskip("serial", reason="pyserial is not installed (extra devices)")
+
+import hueflight as hf
+from hueflight.acquisition.plan import RunPlan
+from hueflight.acquisition.runner import Acquisition
+from hueflight.devices import (
+    DeviceBusyError,
+    DeviceError,
+    DeviceNotFoundError,
+    DeviceTimeoutError,
+    Rig,
+    hardware,
+)
+from hueflight.devices.rig import lights_on
+from hueflight_protocol.illuminator_map import Advance, TriggerSource
+from support.faulty_rig import FaultyRig
+from support.pty_illuminator import PtyIlluminator
+
+WAIT_S = 30
+
+
+@pytest.fixture
+def board(fast: hf.Instrument) -> Iterator[PtyIlluminator]:
+    made = PtyIlluminator(len(fast.bands))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {WAIT_S} s until {what}"
+        time.sleep(0.01)
+
+
+def test_each_kind_of_capture_lights_what_it_needs(
+    board: PtyIlluminator, fast: hf.Instrument
+) -> None:
+    lights = lights_on(board.port, fast)
+    assert lights.name == board.port
+    registers = board.registers
+    source = registers.registers["trigger"].decode(registers.get("trigger"))["source"]
+    assert source == TriggerSource.EXTERNAL
+    assert not board.state["armed"]
+    lights.prepare("scene", 0)
+    assert board.state["armed"]
+    assert not board.state["sequencing"]
+    lights.prepare("bands", 40)
+    assert board.state["armed"]
+    assert board.state["sequencing"]
+    program = registers.registers["sequencer"].decode(registers.get("sequencer"))
+    assert program["advance"] == Advance.FRAME_SYNC
+    assert program["length"] >= len(fast.bands)
+    for kind in ("dark", "flat"):
+        lights.prepare("scene", 0)
+        lights.prepare(kind, 40)
+        assert not board.state["armed"], kind
+    lights.prepare("scene", 0)
+    fed = board.fed
+    lights.keep_alive()
+    assert board.fed == fed + 1
+    lights.close()
+    assert not board.state["armed"]
+
+
+def test_a_port_that_is_held_and_one_that_is_not_there(
+    board: PtyIlluminator, fast: hf.Instrument
+) -> None:
+    lights = lights_on(board.port, fast)
+    with pytest.raises(DeviceBusyError, match="another program holds"):
+        lights_on(board.port, fast)
+    lights.close()
+    with pytest.raises(DeviceNotFoundError, match="is the illuminator plugged in"):
+        lights_on("/dev/ttyNOT_THERE", fast)
+    with pytest.raises(DeviceError, match="which instrument's LEDs"):
+        hardware(illuminator=board.port)
+
+
+def test_more_bands_than_the_board_has_leds(fast: hf.Instrument) -> None:
+    board = PtyIlluminator(len(fast.bands) - 1)
+    try:
+        with pytest.raises(
+            DeviceError, match="can't drive the LEDs of 'paper': 9 channels: the board has 8"
+        ):
+            lights_on(board.port, fast)
+        until(lambda: not board.state["armed"], "it is dark")
+    finally:
+        board.close()
+
+
+def test_a_run_survives_a_silent_line(
+    board: PtyIlluminator, fast: hf.Instrument, rig: FaultyRig
+) -> None:
+    """Both boards in one acquisition: the line falls silent, the gap is marked, the run ends."""
+
+    def connect() -> Rig:
+        bare = rig.connect()
+        try:
+            return Rig(bare.camera, lights_on(board.port, fast))
+        except DeviceError:
+            bare.close()
+            raise
+
+    acquisition = Acquisition(connect, fast)
+    try:
+        future = acquisition.run(RunPlan(seconds=3.0))
+        until(lambda: board.fed >= 2, "the watchdog is fed")
+        assert board.state["armed"]
+        board.silent = True
+        until(lambda: acquisition.snapshot.state == "disconnected", "the silence is noticed")
+        assert board.port in acquisition.snapshot.problem
+        board.silent = False
+        until(lambda: acquisition.snapshot.state == "running", "it is back")
+        result = future.result(WAIT_S)
+    finally:
+        acquisition.close()
+    assert len(result.gaps) == 1
+    assert result.totals.delivered > 0
+    assert result.totals.delivered + result.totals.losses.undelivered == result.totals.exposed
+    assert not board.state["armed"]
+
+
+def test_silence_names_the_port(board: PtyIlluminator, fast: hf.Instrument) -> None:
+    board.silent = True
+    with pytest.raises(DeviceTimeoutError, match=board.port):
+        lights_on(board.port, fast)

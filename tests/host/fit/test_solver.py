@@ -1,0 +1,182 @@
+"""The compiled fit against its definition: the same results to single precision's rounding."""
+
+from importlib import import_module
+
+import msgspec
+import numpy as np
+import pytest
+
+from hueflight.errors import HueflightError
+from hueflight.fit import reference as definition
+from hueflight.fit import solver as kernels
+from hueflight.fit.reference import FitOptions
+from hueflight.fit.solver import BUILDS, fit_pixels
+from hueflight.reconstruction.joint import tables_for_calibration
+
+compiled = pytest.mark.usefixtures("compiled_fit")
+
+
+@pytest.fixture(scope="module")
+def plans(small, draw):
+    import hueflight as hf
+
+    def with_tails(tail_ns: float):
+        instrument = small(rows=12, cols=12)
+        bands = tuple(msgspec.structs.replace(b, pulse_tail_ns=tail_ns) for b in instrument.bands)
+        instrument = instrument.replace(bands=bands)
+        reference = draw(instrument, photons=20_000)
+        calibration = hf.calibrate(reference, instrument, distance=0.5)
+        return instrument, tables_for_calibration(calibration, (-15.0, 15.0))
+
+    return {tail_ns: with_tails(tail_ns) for tail_ns in (0.0, 6.0)}
+
+
+def both(light, plan, monkeypatch, **options):
+    offsets = np.zeros(len(light))
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "c")
+    fast = fit_pixels(light, offsets, plan, **options)
+    return definition.fit(light, offsets, plan, options.get("switches", definition.DEFAULT)), fast
+
+
+@compiled
+@pytest.mark.parametrize("tail_ns", [0.0, 6.0])
+@pytest.mark.parametrize("photons", [20, 50, 620, 100_000])
+@pytest.mark.parametrize("background", [0.0, 0.1, 1.0])
+def test_same_results(plans, draw, monkeypatch, tail_ns, photons, background):
+    instrument, plan = plans[tail_ns]
+    counts = draw(
+        instrument, depth=0.9, photons=photons, background=background * photons, frames=10**7
+    )
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    slow, fast = both(light, plan, monkeypatch)
+    deviation = slow.delay_std_ns
+    # rounding may turn a decision (a step more, the other maximum) in a pixel or two
+    for name, unit in {"delay_ns": deviation, "delay_std_ns": deviation}.items():
+        apart = np.abs(getattr(slow, name) - getattr(fast, name)) / unit
+        assert np.quantile(apart, 0.98) < 1e-3
+    apart = np.abs(slow.amplitudes - fast.amplitudes) / slow.amplitude_std
+    assert np.quantile(apart, 0.98) < 1e-3
+    assert (slow.steps == fast.steps).mean() > 0.97
+    assert (np.isfinite(slow.other_ns) == np.isfinite(fast.other_ns)).mean() > 0.97
+
+
+@compiled
+@pytest.mark.parametrize("name", BUILDS)
+def test_every_width_of_vectors_gives_the_same(plans, draw, monkeypatch, name):
+    able = import_module("hueflight.fit._kernels").processor()
+    if BUILDS.index(name) < 2 - able:
+        pytest.skip(f"this processor can't run {name}")
+    build = pytest.importorskip(f"hueflight.fit.{name}")
+    assert {"_kernels_v4": 16, "_kernels_v3": 8, "_kernels": 4}[name] == build.LANES
+    monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
+    instrument, plan = plans[6.0]
+    kernels._packed.pop(plan, None)  # its tables are laid out for one width
+    counts = draw(instrument, depth=0.9, photons=200, background=100)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    slow, fast = both(light, plan, monkeypatch)
+    kernels._packed.pop(plan)
+    apart = np.abs(slow.delay_ns - fast.delay_ns) / slow.delay_std_ns
+    assert np.quantile(apart, 0.98) < 1e-3
+
+
+@compiled
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.uint32, np.uint64, np.float32, float])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_every_type_and_direction_of_counts(plans, draw, monkeypatch, dtype, reverse):
+    instrument, plan = plans[0.0]
+    counts = draw(instrument, depth=0.9, photons=300)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    expected = fit_pixels(np.ascontiguousarray(light, np.float32), np.zeros(144), plan)
+    same = light.astype(dtype)
+    if reverse:
+        same = np.ascontiguousarray(same[:, ::-1])[:, ::-1]
+    np.testing.assert_array_equal(fit_pixels(same, np.zeros(144), plan).delay_ns, expected.delay_ns)
+
+
+@compiled
+def test_threads_and_order_of_pixels_change_nothing(plans, draw):
+    instrument, plan = plans[6.0]
+    counts = draw(instrument, depth=0.9, photons=100, background=50)
+    light = np.tile(instrument.time_bins().in_time_order(counts).reshape(144, -1), (40, 1))
+    once = fit_pixels(light, np.zeros(len(light)), plan)
+    shared = fit_pixels(light, np.zeros(len(light)), plan, threads=3)
+    backwards = fit_pixels(light[::-1], np.zeros(len(light)), plan)
+    for name in ("delay_ns", "delay_std_ns", "amplitudes", "background", "steps"):
+        np.testing.assert_array_equal(getattr(once, name), getattr(shared, name))
+        np.testing.assert_array_equal(getattr(once, name), getattr(backwards, name)[::-1])
+
+
+@compiled
+@pytest.mark.parametrize(
+    "switches",
+    [
+        FitOptions(rough=True),
+        FitOptions(settle=False),
+        FitOptions(posterior=False),
+        FitOptions(target_ns=10.0),
+    ],
+)
+def test_switches_mean_the_same(plans, draw, monkeypatch, switches):
+    instrument, plan = plans[6.0]
+    counts = draw(instrument, depth=0.9, photons=100, background=50)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    slow, fast = both(light, plan, monkeypatch, switches=switches)
+    apart = np.abs(slow.delay_ns - fast.delay_ns) / slow.delay_std_ns
+    assert np.quantile(apart, 0.98) < 1e-3
+
+
+def test_without_the_compiled_fit(plans, draw, monkeypatch):
+    instrument, plan = plans[0.0]
+    counts = draw(instrument, depth=0.9, photons=300)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "numpy")
+    found = fit_pixels(light, np.zeros(144), plan)
+    np.testing.assert_array_equal(
+        found.delay_ns, definition.fit(light, np.zeros(144), plan).delay_ns
+    )
+
+
+def test_a_backend_that_does_not_exist(plans, monkeypatch):
+    _, plan = plans[0.0]
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "fortran")
+    with pytest.raises(HueflightError, match="HUEFLIGHT_KERNELS = 'fortran'"):
+        fit_pixels(np.ones((1, 499), np.uint16), np.zeros(1), plan)
+
+
+def test_light_that_does_not_fit_the_plan(plans):
+    _, plan = plans[0.0]
+    with pytest.raises(HueflightError, match=r"needs \(pixel, 499\)"):
+        fit_pixels(np.ones((2, 500), np.uint16), np.zeros(2), plan)
+
+
+@pytest.mark.parametrize("tail_ns", [0.0, 6.0])
+@pytest.mark.parametrize("photons", [50, 200])
+def test_few_delays_integrate_a_posterior_as_well_as_many(
+    plans, draw, monkeypatch, tail_ns, photons
+):
+    instrument, plan = plans[tail_ns]
+    counts = draw(instrument, depth=0.9, photons=photons, background=0.1 * photons, frames=10**7)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    monkeypatch.setattr(definition, "POSTERIOR_PHOTONS", np.inf)
+    few = definition.fit(light, np.zeros(144), plan)
+    monkeypatch.setattr(definition, "NODES", 25)
+    monkeypatch.setattr(definition, "NODE_SPACING", 0.4)
+    many = definition.fit(light, np.zeros(144), plan)
+    apart = np.abs(few.delay_ns - many.delay_ns) / many.delay_std_ns
+    assert 0 < np.sqrt(np.mean(apart**2)) < 0.02
+    assert np.abs(few.delay_std_ns / many.delay_std_ns - 1).mean() < 0.01
+
+
+@pytest.mark.parametrize("tail_ns", [0.0, 6.0])
+def test_from_some_photons_on_a_corrected_parabola_says_what_the_posterior_says(
+    plans, draw, monkeypatch, tail_ns
+):
+    instrument, plan = plans[tail_ns]
+    counts = draw(instrument, depth=0.9, photons=100, background=10, frames=10**7)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    found = definition.fit(light, np.zeros(144), plan)
+    monkeypatch.setattr(definition, "POSTERIOR_PHOTONS", np.inf)
+    whole = definition.fit(light, np.zeros(144), plan)
+    apart = np.abs(found.delay_ns - whole.delay_ns) / whole.delay_std_ns
+    assert 0 < np.sqrt(np.mean(apart**2)) < 0.15  # adds no more than 2 % to the variance
+    assert np.abs(found.delay_std_ns / whole.delay_std_ns - 1).mean() < 0.08

@@ -1,0 +1,1 @@
+"""Helpers shared by tests: emulated boards, faulty rigs, a browser, a daemon process."""

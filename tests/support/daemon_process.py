@@ -1,0 +1,81 @@
+"""The daemon as people run it: a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from support.lines import Lines
+
+PATIENCE_S = 90.0
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait for something that must come."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {PATIENCE_S:g} s until {what}"
+        time.sleep(0.05)
+
+
+class Daemon:
+    """A running `hueflight serve`."""
+
+    def __init__(self, config: Path, environment: dict[str, str]) -> None:
+        command = "from hueflight.cli import main; main()"
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", command, "serve", str(config), "--json-logs"],
+            env=os.environ | environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stderr is not None
+        self._log = Lines(self.process.stderr)
+        try:
+            first = self._log.next(PATIENCE_S)
+            if not first.startswith("{"):
+                raise AssertionError(first)
+        except AssertionError as error:
+            _, rest = self.end(signal.SIGKILL)
+            raise AssertionError(f"no daemon: {error}{rest}") from None
+        self.url = json.loads(first)["url"].rstrip("/")
+
+    def get(self, path: str) -> Any:
+        with urllib.request.urlopen(self.url + path, timeout=30) as answer:
+            return json.loads(answer.read())
+
+    def post(self, path: str, body: object = None) -> Any:
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(
+            self.url + path, data=data or b"", headers={"content-type": "application/json"}
+        )
+        with urllib.request.urlopen(request, timeout=30) as answer:
+            return json.loads(answer.read())
+
+    def status(self) -> Any:
+        return self.get("/api/status")
+
+    def end(self, number: int = signal.SIGTERM) -> tuple[int, str]:
+        """Signal it, wait for its end; exit code and log."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        try:
+            code = self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(PATIENCE_S)
+            log = self._log.rest(PATIENCE_S)
+            raise AssertionError(
+                f"the daemon did not end within {PATIENCE_S:g} s:\n{log}"
+            ) from None
+        return code, self._log.rest(PATIENCE_S)

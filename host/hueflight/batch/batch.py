@@ -20,7 +20,7 @@ from hueflight.errors import BatchError
 from hueflight.export.description import calibration_origin
 from hueflight.files.atomic import staged
 from hueflight.progress import Progress, Silent, tracked
-from hueflight.recording.layout import DIGITS
+from hueflight.recording.layout import split_segment_path
 
 CALIBRATION = "calibration.zarr"  #: where a calibration given as an object is kept, in the results
 REPORT = "batch.json"  #: what became of every capture
@@ -143,9 +143,8 @@ def _whole_captures(paths: list[Path]) -> list[str]:
     given = {path.absolute() for path in paths}
     chosen: dict[str, str] = {}
     for path in dict.fromkeys(path.absolute() for path in paths):
-        stem, _, number = path.stem.rpartition(".")
-        first = path.with_name(stem + path.suffix)
-        if len(number) == DIGITS and number.isdecimal() and first in given:
+        first, number = split_segment_path(path)
+        if number and first in given:
             continue
         if path.stem in chosen:
             raise BatchError(

@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hueflight.errors import HueflightError
+from hueflight.recording.layout import SUFFIX, segment_files
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-SUFFIX = ".mcap"
 
 
 class FileNameError(HueflightError):
@@ -55,9 +55,7 @@ class Folder:
     def fresh(self, name: str, /) -> Path:
         """The path of a recording that does not exist yet."""
         path = self.path(name)
-        if any(self.root.glob(f"{name}{SUFFIX}*")) or any(
-            self.root.glob(f"{name}.[0-9]*{SUFFIX}*")
-        ):
+        if any(segment_files(path)):
             raise FileNameError(f"there is a recording {name!r} already: choose another name")
         return path
 
@@ -68,7 +66,7 @@ class Folder:
             name = path.name[: -len(SUFFIX)]
             if not NAME.fullmatch(name) or path.is_symlink():
                 continue
-            segments = [path, *self.root.glob(f"{name}.[0-9][0-9][0-9][0-9]{SUFFIX}")]
+            segments, _ = segment_files(path)
             status = path.stat()
             found.append(
                 {

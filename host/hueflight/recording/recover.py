@@ -25,7 +25,9 @@ from hueflight.recording.layout import (
     OWN_NAMES,
     PART,
     Description,
+    part_path,
     segment_files,
+    split_segment_path,
 )
 from hueflight.recording.records import (
     MAGIC,
@@ -198,10 +200,11 @@ def _recovery(
 def _files(path: Path) -> dict[int, Path]:
     """All files of a recording, finished or not, by the number of the segment."""
     finished, unfinished = segment_files(path)
-    files: dict[int, Path] = {}
-    for file in (*unfinished, *finished):
-        base = file.with_suffix("") if file.suffix == PART else file
-        files[0 if base == path else int(base.suffixes[-2][1:])] = file
+    # a finished file comes last, so that it replaces an unfinished one of the same number
+    files = {
+        0 if file in (path, part_path(path)) else split_segment_path(file)[1]: file
+        for file in (*unfinished, *finished)
+    }
     if not files:
         raise RecordingError(f"no recording {str(path)!r}: there is no such file, nor a part of it")
     return dict(sorted(files.items()))

@@ -21,6 +21,7 @@ from hueflight.model.instrument import Instrument
 from hueflight.recording.layout import (
     FORMAT,
     OWN_NAMES,
+    SUFFIX,
     Description,
     segment_files,
     segment_path,
@@ -46,7 +47,7 @@ class RecordingWriter:
     Parameters
     ----------
     path : path ending in ``.mcap``
-        First file; further segments are called ``name.0001.mcap`` and so on. A file has
+        First file; further segments are called ``name.000001.mcap`` and so on. A file has
         ``.part`` behind its name until it is finished.
     instrument : Instrument
         Goes into each segment, and says what frames look like.
@@ -94,8 +95,8 @@ class RecordingWriter:
         kernels: Kernels | None = None,
     ) -> None:
         self.path = Path(path)
-        if self.path.suffix != ".mcap":
-            raise RecordingError(f"{self.path}: the name of a recording must end in .mcap")
+        if self.path.suffix != SUFFIX:
+            raise RecordingError(f"{self.path}: the name of a recording must end in {SUFFIX}")
         own = [name for name in attachments or {} if name in OWN_NAMES]
         if own:
             raise RecordingError(f"attachment {own[0]!r}: this name is taken, use another")

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+import hueflight as hf
 from hueflight.daemon.recordings_folder import FileNameError, Folder
+from hueflight.recording import RecordingWriter
+from hueflight.recording.layout import part_path, segment_path
+from hueflight_protocol import encode_frame
 
 
 @given(st.text(max_size=80))
@@ -39,13 +44,36 @@ def test_links_that_lead_out_are_refused(tmp_path: Path) -> None:
         folder.path("link")
 
 
-def test_names_are_used_once_and_listed(tmp_path: Path) -> None:
+def test_names_are_used_once(tmp_path: Path) -> None:
     folder = Folder(tmp_path)
-    (tmp_path / "a.mcap").write_bytes(b"12345")
-    (tmp_path / "a.0001.mcap").write_bytes(b"123")
-    (tmp_path / "b.mcap.part").write_bytes(b"")
-    assert folder.fresh("c").name == "c.mcap"
-    for taken in ("a", "b"):
+    (tmp_path / "a.mcap").write_bytes(b"")
+    part_path(tmp_path / "b.mcap").write_bytes(b"")
+    segment_path(tmp_path / "c.mcap", 3).write_bytes(b"")
+    part_path(segment_path(tmp_path / "d.mcap", 3)).write_bytes(b"")
+    assert folder.fresh("e").name == "e.mcap"
+    for taken in ("a", "b", "c", "d"):
         with pytest.raises(FileNameError, match="already"):
             folder.fresh(taken)
-    assert [(e["name"], e["bytes"], e["segments"]) for e in folder.listing()] == [("a", 8, 2)]
+
+
+def test_a_listed_recording_has_the_size_of_all_its_segments(
+    tmp_path: Path, instrument: hf.Instrument
+) -> None:
+    """Segments are files that the writer made, so that their names are the real ones."""
+    codes = np.random.default_rng(0).integers(0, 512, (30, *instrument.image_shape))
+    packets = [
+        encode_frame(frame, sequence=i, frame=i, timestamp=i) for i, frame in enumerate(codes)
+    ]
+    folder = Folder(tmp_path / "data")
+    for name in ("run", "run2"):
+        with RecordingWriter(
+            folder.path(name), instrument, segment_bytes=1000, chunk_bytes=300
+        ) as writer:
+            for packet in packets:
+                writer.write(packet)
+    files = list(folder.root.glob("run.*"))
+    assert len(files) > 3
+    listed = {entry["name"]: entry for entry in folder.listing()}
+    assert set(listed) == {"run", "run2"}
+    assert listed["run"]["segments"] == len(files)
+    assert listed["run"]["bytes"] == sum(file.stat().st_size for file in files)

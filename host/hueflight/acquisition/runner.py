@@ -275,7 +275,7 @@ class Acquisition:
 
     def _begin(self, plan: RunPlan, future: Future[RunResult] | None) -> None:
         assert self._rig is not None
-        self._rig.lights.prepare(plan.kind, plan.frames)
+        self._rig.illumination.prepare(plan.kind, plan.frames)
         if plan.path is not None:
             metadata = dict(plan.metadata) | {
                 "capture": plan.kind, "simulated": str(self._rig.simulated).lower()
@@ -340,7 +340,7 @@ class Acquisition:
     def _keep_alive(self, now: float) -> None:
         if self._rig is not None and now - self._kept_alive_s > KEEP_ALIVE_S:
             self._kept_alive_s = now
-            self._rig.lights.keep_alive()
+            self._rig.illumination.keep_alive()
 
     def _finish(self, failure: str) -> None:
         """End the run: stop the camera, read what is under way, close books and recording."""
@@ -454,7 +454,7 @@ class Acquisition:
                 "serial": identity.serial,
                 "place": identity.place,
                 "firmware": identity.firmware,
-                "lights": rig.lights.name if rig else "",
+                "lights": rig.illumination.name if rig else "",
             },
             simulated=rig.simulated if rig is not None else self.snapshot.simulated,
             kind=run.plan.kind if run and not run.plan.live else "live" if run else "",

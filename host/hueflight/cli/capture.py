@@ -19,7 +19,7 @@ from hueflight.acquisition.summary import write_summary
 from hueflight.calibration import Calibration
 from hueflight.cli.app import app, errors
 from hueflight.cli.output import show
-from hueflight.devices.choice import choose_rig
+from hueflight.devices.built_in_rigs import choose_rig
 from hueflight.devices.illumination import GUIDANCE, CaptureKind
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
@@ -44,6 +44,7 @@ def capture(
     share: float = 0.9,
     distance: float | None = None,
     note: str = "",
+    rig: str | None = None,
     camera: str | None = None,
     illuminator: str | None = None,
     simulate: bool | None = None,
@@ -82,6 +83,9 @@ def capture(
         Of the target, metres; noted in the recording.
     note
         Noted in the recording.
+    rig
+        Address of the rig, such as usb:, simulated:fig1 or usb:0123ABCD+serial:/dev/ttyUSB0; takes
+        the place of --simulate, --scene, --camera and --illuminator.
     camera
         Serial number, needed if several are plugged in.
     illuminator
@@ -108,7 +112,7 @@ def capture(
     )  # fmt: skip
     plan.check()
     connect = choose_rig(
-        described, simulate=simulate, serial=camera, illuminator=illuminator, scene=scene,
+        described, uri=rig, simulate=simulate, serial=camera, illuminator=illuminator, scene=scene,
         say=lambda text: errors.print(f"[bold yellow]{text}[/]"),
     )  # fmt: skip
     acquisition = Acquisition(connect, described)

@@ -20,6 +20,7 @@ def serve(
     data: Path | None = None,
     simulate: bool | None = None,
     scene: str | None = None,
+    rig: str | None = None,
     camera: str | None = None,
     illuminator: str | None = None,
     method: str | None = None,
@@ -44,6 +45,9 @@ def serve(
         Use the simulated instrument, or insist on a camera; by default whatever is there.
     scene
         That the simulated instrument looks at.
+    rig
+        Address of the rig, such as usb:, simulated:fig1 or usb:0123ABCD+serial:/dev/ttyUSB0; takes
+        the place of --simulate, --scene, --camera and --illuminator.
     camera
         Serial number, needed if several are plugged in.
     illuminator
@@ -67,7 +71,7 @@ def serve(
         raise HueflightError(
             f"the daemon needs the package {error.name}: install hueflight[daemon]"
         ) from None
-    from hueflight.devices.choice import choose_rig
+    from hueflight.devices.built_in_rigs import choose_rig
 
     configure(as_json=json_logs)
     chosen = DaemonConfig() if config is None else DaemonConfig.load(config)
@@ -77,6 +81,7 @@ def serve(
         "data": None if data is None else str(data),
         "simulate": simulate,
         "scene": scene,
+        "rig": rig,
         "camera": camera,
         "illuminator": illuminator,
         "method": method,
@@ -91,9 +96,18 @@ def serve(
         **_given(options),
         server=msgspec.structs.replace(chosen.server, **_given(server)),
     )
+    parts: dict[str, object] = {"simulate": simulate, "camera": camera, "illuminator": illuminator}
+    if rig is not None:  # it takes the place of what the file says, not of what was typed
+        unset: dict[str, object] = {"simulate": None, "camera": "", "illuminator": ""}
+        chosen = msgspec.structs.replace(
+            chosen, **{name: value for name, value in unset.items() if parts[name] is None}
+        )
+    elif _given(parts):
+        chosen = msgspec.structs.replace(chosen, rig="")
     described = Instrument.load(chosen.instrument)
     connect = choose_rig(
         described,
+        uri=chosen.rig or None,
         simulate=chosen.simulate,
         serial=chosen.camera or None,
         illuminator=chosen.illuminator or None,

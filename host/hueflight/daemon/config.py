@@ -120,6 +120,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     simulate : use the simulated instrument, or never; by default only where no camera is
         plugged in and none is named.
     scene : that it looks at.
+    rig : address of the rig, in place of `simulate`, `scene`, `camera` and `illuminator`.
     camera : serial number, needed if several are plugged in.
     illuminator : its serial port; empty if something else drives the LEDs.
     method : of reconstruction, ``"joint"``, ``"pooled"`` or ``"paper"``; empty for the best that
@@ -137,6 +138,7 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     data: str = "~/hueflight"
     simulate: bool | None = None
     scene: str = "fig1"
+    rig: str = ""
     camera: str = ""
     illuminator: str = ""
     method: str = ""

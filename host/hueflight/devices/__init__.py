@@ -1,6 +1,7 @@
 """Boards: the camera on USB, the illuminator on a serial line."""
 
 from hueflight.devices.board import Board, BoardIdentity
+from hueflight.devices.built_in_rigs import camera_plugged_in, choose_rig
 from hueflight.devices.camera import Camera, CameraCounters, CameraSettings
 from hueflight.devices.errors import (
     DeviceBusyError,
@@ -13,7 +14,17 @@ from hueflight.devices.errors import (
     WrongDeviceError,
 )
 from hueflight.devices.illumination import CaptureKind, Illumination, NoIllumination
-from hueflight.devices.rig import Connect, Rig, camera_plugged_in, hardware, simulated
+from hueflight.devices.rig import (
+    Connect,
+    Rig,
+    RigAddress,
+    RigAddressError,
+    RigOpener,
+    RigPart,
+    register_rig,
+    rig_from_uri,
+    rig_schemes,
+)
 from hueflight.devices.transports.interface import Transport
 from hueflight.devices.transports.stream import Stream, StreamStatistics
 
@@ -35,11 +46,17 @@ __all__ = [
     "NoIllumination",
     "RequestError",
     "Rig",
+    "RigAddress",
+    "RigAddressError",
+    "RigOpener",
+    "RigPart",
     "Stream",
     "StreamStatistics",
     "Transport",
     "WrongDeviceError",
     "camera_plugged_in",
-    "hardware",
-    "simulated",
+    "choose_rig",
+    "register_rig",
+    "rig_from_uri",
+    "rig_schemes",
 ]

@@ -1,42 +1,84 @@
-"""A rig: one camera and its lights, found on the ports or simulated."""
+"""A rig, which is one camera and its illumination, and the addresses by which rigs are opened.
+
+The address of a rig is a URI, or several that are joined by ``+``::
+
+    rig    = part *( "+" part )
+    part   = scheme ":" [ path ] [ "?" option *( "&" option ) ]
+    option = name "=" value
+
+Each part brings a camera, an illumination, or both; together they bring exactly one camera and at
+most one illumination. Characters that the grammar uses are written percent-encoded in paths and
+values; a ``+`` separates parts only where a scheme and a colon follow it.
+
+================================  ==============================================================
+``usb:``                          the only camera on USB
+``usb:0123ABCD``                  the camera with this serial number
+``usb:+serial:/dev/ttyUSB0``      the only camera, and an illuminator on a serial port
+``serial:COM3?baud=1000000``      an illuminator whose gateware uses another line rate
+``simulated:``                    the simulated instrument, which brings camera and illumination
+``simulated:fig1?frames=960``     with a scene of the simulator and a number of distinct frames
+================================  ==============================================================
+
+`register_rig` adds a scheme to the running program; a package that is installed adds one through
+the entry point group `ENTRY_POINT_GROUP`.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Protocol
+from urllib.parse import unquote
 
+from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.illumination import Illumination, NoIllumination
-from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 
-if TYPE_CHECKING:
-    from hueflight.devices.camera import Camera
+ENTRY_POINT_GROUP = "hueflight.rigs"
+"""Entry points of this group are named by a scheme and refer to a `RigOpener`."""
+
+_BUILT_IN = (
+    EntryPoint("usb", "hueflight.devices.built_in_rigs:usb_camera", ENTRY_POINT_GROUP),
+    EntryPoint("serial", "hueflight.devices.built_in_rigs:serial_illuminator", ENTRY_POINT_GROUP),
+    EntryPoint("simulated", "hueflight.emulation.simulated_rig:open_part", ENTRY_POINT_GROUP),
+)
+_SCHEME = r"[a-z][a-z0-9.-]*"
+_PART = re.compile(rf"(?P<scheme>{_SCHEME}):(?P<path>[^?]*)(?:\?(?P<options>.*))?", re.DOTALL)
+_BETWEEN_PARTS = re.compile(rf"\+(?={_SCHEME}:)")
+
+
+class RigAddressError(DeviceError):
+    """The address of a rig is malformed, has an unknown scheme, or does not describe a rig."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """What a capture needs.
+    """One camera and the illumination that belongs to it.
 
     Attributes
     ----------
-    camera, lights : the boards.
+    camera : Camera
+        The camera, opened.
+    illumination : Illumination
+        What drives the LEDs, opened.
     """
 
     camera: Camera
-    lights: Illumination
+    illumination: Illumination
 
     @property
     def simulated(self) -> bool:
-        """Whether the photons are."""
+        """True if the camera's photons are simulated."""
         return self.camera.simulated
 
     def close(self) -> None:
-        """LEDs dark, ports given back."""
+        """Turn the LEDs off and release the ports."""
         with contextlib.suppress(DeviceError):  # if it is gone, its watchdog turns the LEDs off
-            self.lights.close()
+            self.illumination.close()
         self.camera.close()
 
 
@@ -44,85 +86,242 @@ Connect = Callable[[], Rig]
 """Opens a rig; raises `DeviceError` while there is none."""
 
 
-def hardware(
-    serial: str | None = None,
-    *,
-    illuminator: str | None = None,
-    instrument: Instrument | None = None,
-) -> Connect:
-    """How to open the boards that are plugged in.
+@dataclass(frozen=True)
+class RigAddress:
+    """One part of a rig's address, taken apart.
+
+    Attributes
+    ----------
+    text : str
+        The part as it was written, for error messages.
+    scheme : str
+        Name under which the opener is registered.
+    path : str
+        Text between the colon and the question mark, decoded; may be empty.
+    options : Mapping of str to str
+        Options by name, decoded.
+    """
+
+    text: str
+    scheme: str
+    path: str = ""
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, text: str, /) -> RigAddress:
+        """Take one part of a rig's address apart.
+
+        Parameters
+        ----------
+        text : str
+            The part, such as ``"simulated:fig1?frames=960"``.
+
+        Returns
+        -------
+        RigAddress
+            Scheme, path and options.
+
+        Raises
+        ------
+        RigAddressError
+            If there is no scheme, or an option is malformed or given twice.
+        """
+        found = _PART.fullmatch(text)
+        if found is None:
+            raise RigAddressError(
+                f"{text!r} is not the address of a rig: write a scheme and a colon first, such as "
+                f"usb: or simulated:fig1; the schemes are {', '.join(rig_schemes())}"
+            )
+        options: dict[str, str] = {}
+        for option in filter(None, (found["options"] or "").split("&")):
+            name, equals, value = option.partition("=")
+            if not name or not equals:
+                raise RigAddressError(f"{text}: option {option!r} must be written name=value")
+            if name in options:
+                raise RigAddressError(f"{text}: option {name!r} is given twice")
+            options[name] = unquote(value)
+        return cls(text, found["scheme"], unquote(found["path"]), options)
+
+    def convert_options(self, **types: Callable[[str], Any]) -> dict[str, Any]:
+        """Convert the options that are given.
+
+        Parameters
+        ----------
+        **types : callable
+            Conversion from text for every option that the scheme knows.
+
+        Returns
+        -------
+        dict
+            Values by name, of the options that the address has.
+
+        Raises
+        ------
+        RigAddressError
+            If an option is not known, or its value can't be converted.
+        """
+        values: dict[str, Any] = {}
+        for name, text in self.options.items():
+            if name not in types:
+                known = ", ".join(types) or "none"
+                raise RigAddressError(
+                    f"{self.text}: {self.scheme}: has no option {name!r}; its options: {known}"
+                )
+            try:
+                values[name] = types[name](text)
+            except ValueError:
+                raise RigAddressError(
+                    f"{self.text}: {name} = {text!r} is not of type {types[name].__name__}"
+                ) from None
+        return values
+
+
+@dataclass(frozen=True)
+class RigPart:
+    """How to open what one part of an address stands for.
+
+    Attributes
+    ----------
+    open_camera : callable, optional
+        Opens the camera; raises `DeviceError` while there is none.
+    open_illumination : callable, optional
+        Opens the illumination, LEDs off; raises `DeviceError` while there is none.
+    """
+
+    open_camera: Callable[[], Camera] | None = None
+    open_illumination: Callable[[], Illumination] | None = None
+
+
+class RigOpener(Protocol):
+    """Function behind a scheme."""
+
+    def __call__(self, address: RigAddress, instrument: Instrument, /) -> RigPart:
+        """Check an address and return how to open what it stands for.
+
+        Parameters
+        ----------
+        address : RigAddress
+            The part of the rig's address that has this scheme.
+        instrument : Instrument
+            The instrument that the rig should be.
+
+        Returns
+        -------
+        RigPart
+            Functions that open it. They are called again and again while a device is missing.
+
+        Raises
+        ------
+        DeviceError
+            If the address or the instrument does not suit this scheme.
+        """
+        ...
+
+
+_registered: dict[str, RigOpener] = {}
+
+
+def register_rig(scheme: str, opener: RigOpener, /) -> None:
+    """Make a scheme known to this program.
 
     Parameters
     ----------
-    serial : number of the camera, None for the only one.
-    illuminator : serial port of the illuminator, None if something else drives the LEDs.
-    instrument : whose LEDs it drives; needed with one.
+    scheme : str
+        Lower-case letters, digits, periods and hyphens, beginning with a letter.
+    opener : RigOpener
+        Function that returns how to open an address with this scheme.
 
     Raises
     ------
-    DeviceError
-        If an illuminator is named without an instrument.
+    RigAddressError
+        If the scheme is malformed or taken.
     """
-    if illuminator and instrument is None:
-        raise DeviceError(f"illuminator {illuminator}: say which instrument's LEDs it drives")
+    if not re.fullmatch(_SCHEME, scheme):
+        raise RigAddressError(
+            f"scheme {scheme!r}: must be lower-case letters, digits, '.' and '-', letter first"
+        )
+    if scheme in rig_schemes():
+        raise RigAddressError(f"scheme {scheme!r} is already taken; choose another name")
+    _registered[scheme] = opener
+
+
+def rig_schemes() -> tuple[str, ...]:
+    """Return every known scheme.
+
+    Returns
+    -------
+    tuple of str
+        Schemes that are built in, registered, or brought by installed packages.
+    """
+    installed = sorted(entry_points(group=ENTRY_POINT_GROUP).names)
+    return tuple(dict.fromkeys([*(built.name for built in _BUILT_IN), *_registered, *installed]))
+
+
+def rig_from_uri(uri: str, instrument: Instrument, /) -> Connect:
+    """Return how to open the rig at an address.
+
+    Parameters
+    ----------
+    uri : str
+        Address in the grammar of this module, such as ``"usb:+serial:/dev/ttyUSB0"``.
+    instrument : Instrument
+        The instrument that the rig should be.
+
+    Returns
+    -------
+    callable
+        Opens the rig; to be called again after the rig was lost.
+
+    Raises
+    ------
+    RigAddressError
+        If the address is malformed, a scheme is not known, or the parts do not bring exactly one
+        camera and at most one illumination.
+    DeviceError
+        If a part of it does not suit the instrument.
+    """
+    parts: list[tuple[str, RigPart]] = []
+    for text in _BETWEEN_PARTS.split(uri):
+        address = RigAddress.parse(text)
+        parts.append((text, _opener(address)(address, instrument)))
+    cameras = [(text, part.open_camera) for text, part in parts if part.open_camera]
+    drivers = [(text, part.open_illumination) for text, part in parts if part.open_illumination]
+    if not cameras:
+        raise RigAddressError(
+            f"{uri} names no camera: put one in front, such as usb:+{uri} for the camera on USB"
+        )
+    for what, found in (("cameras", cameras), ("illuminations", drivers)):
+        if len(found) > 1:
+            named = " and ".join(text for text, _ in found)
+            raise RigAddressError(
+                f"{uri} names {len(found)} {what}, {named}: leave one of them out"
+            )
+    open_camera = cameras[0][1]
+    open_illumination = drivers[0][1] if drivers else NoIllumination
 
     def connect() -> Rig:
+        camera = open_camera()
         try:
-            from hueflight.devices.transports.usb import open_camera
-        except ImportError as error:
-            raise DeviceError(
-                f"cameras need the package {error.name}: install hueflight[devices], or use "
-                "--simulate"
-            ) from None
-        camera = open_camera(serial)
-        if not illuminator or instrument is None:
-            return Rig(camera, NoIllumination())
-        try:
-            return Rig(camera, lights_on(illuminator, instrument))
-        except DeviceError:
+            return Rig(camera, open_illumination())
+        except BaseException:
             camera.close()
             raise
 
     return connect
 
 
-def lights_on(port: str, instrument: Instrument, /) -> Illumination:
-    """The illuminator on a serial port, loaded with an instrument's schedule, LEDs dark.
-
-    Raises
-    ------
-    DeviceError
-        If the port can't be opened, no illuminator answers, or it can't drive these LEDs.
-    """
-    from hueflight.devices.illuminator import open_illuminator
-    from hueflight.devices.illuminator_driver import IlluminatorDriver
-
-    board = open_illuminator(port)
-    try:
-        return IlluminatorDriver(board, instrument)
-    except HueflightError as error:
-        with contextlib.suppress(DeviceError):  # the first error says more
-            board.close()
-        if isinstance(error, DeviceError):
-            raise
-        raise DeviceError(
-            f"the illuminator on {port} can't drive the LEDs of {instrument.name!r}: {error}"
-        ) from error
-
-
-def camera_plugged_in() -> bool:
-    """Whether any camera is on USB; false where USB can't be looked at."""
-    try:
-        from hueflight.devices.transports.usb import find_cameras
-
-        return bool(find_cameras())
-    except (DeviceError, ImportError):
-        return False
-
-
-def simulated(instrument: Instrument, *, scene: str = "fig1", frames: int = 960) -> Connect:
-    """How to open a simulated rig; the photons are drawn once and kept between connections."""
-    from hueflight.emulation.simulated_rig import SimulatedInstrument
-
-    model = SimulatedInstrument(instrument, scene=scene, frames=frames)
-    return model.connect
+def _opener(address: RigAddress) -> RigOpener:
+    scheme = address.scheme
+    if scheme in _registered:
+        return _registered[scheme]
+    for entry in (*_BUILT_IN, *entry_points(group=ENTRY_POINT_GROUP)):
+        if entry.name == scheme:
+            try:
+                return entry.load()
+            except (ImportError, AttributeError) as error:
+                raise RigAddressError(
+                    f"{address.text}: scheme {scheme!r} can't be loaded from {entry.value}: {error}"
+                ) from error
+    raise RigAddressError(
+        f"{address.text}: there is no scheme {scheme!r}; the schemes are {', '.join(rig_schemes())}"
+    )

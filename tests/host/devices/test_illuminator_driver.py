@@ -18,9 +18,9 @@ from hueflight.devices import (
     DeviceNotFoundError,
     DeviceTimeoutError,
     Rig,
-    hardware,
+    rig_from_uri,
 )
-from hueflight.devices.rig import lights_on
+from hueflight.devices.built_in_rigs import open_illumination
 from hueflight_protocol.illuminator_map import Advance, TriggerSource
 from support.faulty_rig import FaultyRig
 from support.pty_illuminator import PtyIlluminator
@@ -47,7 +47,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 def test_each_kind_of_capture_lights_what_it_needs(
     board: PtyIlluminator, fast: hf.Instrument
 ) -> None:
-    lights = lights_on(board.port, fast)
+    lights = open_illumination(board.port, fast)
     assert lights.name == board.port
     registers = board.registers
     source = registers.registers["trigger"].decode(registers.get("trigger"))["source"]
@@ -77,14 +77,14 @@ def test_each_kind_of_capture_lights_what_it_needs(
 def test_a_port_that_is_held_and_one_that_is_not_there(
     board: PtyIlluminator, fast: hf.Instrument
 ) -> None:
-    lights = lights_on(board.port, fast)
+    lights = open_illumination(board.port, fast)
     with pytest.raises(DeviceBusyError, match="another program holds"):
-        lights_on(board.port, fast)
+        open_illumination(board.port, fast)
     lights.close()
     with pytest.raises(DeviceNotFoundError, match="is the illuminator plugged in"):
-        lights_on("/dev/ttyNOT_THERE", fast)
-    with pytest.raises(DeviceError, match="which instrument's LEDs"):
-        hardware(illuminator=board.port)
+        open_illumination("/dev/ttyNOT_THERE", fast)
+    with pytest.raises(DeviceError, match="names no camera"):
+        rig_from_uri(f"serial:{board.port}", fast)
 
 
 def test_more_bands_than_the_board_has_leds(fast: hf.Instrument) -> None:
@@ -93,7 +93,7 @@ def test_more_bands_than_the_board_has_leds(fast: hf.Instrument) -> None:
         with pytest.raises(
             DeviceError, match="can't drive the LEDs of 'paper': 9 channels: the board has 8"
         ):
-            lights_on(board.port, fast)
+            open_illumination(board.port, fast)
         until(lambda: not board.state["armed"], "it is dark")
     finally:
         board.close()
@@ -107,7 +107,7 @@ def test_a_run_survives_a_silent_line(
     def connect() -> Rig:
         bare = rig.connect()
         try:
-            return Rig(bare.camera, lights_on(board.port, fast))
+            return Rig(bare.camera, open_illumination(board.port, fast))
         except DeviceError:
             bare.close()
             raise
@@ -134,4 +134,4 @@ def test_a_run_survives_a_silent_line(
 def test_silence_names_the_port(board: PtyIlluminator, fast: hf.Instrument) -> None:
     board.silent = True
     with pytest.raises(DeviceTimeoutError, match=board.port):
-        lights_on(board.port, fast)
+        open_illumination(board.port, fast)

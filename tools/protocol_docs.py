@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
-"""Write what the protocol's documents derive from its declarations.
+"""Generate the parts of the protocol's documents that follow from its declarations.
 
     python tools/protocol_docs.py [FOLDER]
 
-fills the blocks between `<!-- generated: NAME -->` and `<!-- end -->` in docs/protocol.md, and
-writes docs/registers.md whole; FOLDER stands for docs.
+This replaces the blocks between `<!-- generated: NAME -->` and `<!-- end -->` in
+docs/protocol.md and writes docs/registers.md. FOLDER is the folder of the two documents, by
+default docs.
 """
 
 import re
@@ -71,8 +72,8 @@ FLAG_MEANINGS = {
     "MASKED": "codes of masked pixels were replaced by 0",
     "ROI": "codes outside the region of interest were replaced by 0",
     "GATED": "codes outside the time gate were replaced by 0",
-    "SATURATED": "a counter in this header stands at its largest value and may be short",
-    "TEST_PATTERN": "codes come from the camera's pattern generator, not from its sensor",
+    "SATURATED": "a counter in this header has reached its largest value and may be too low",
+    "TEST_PATTERN": "codes come from the pattern generator of the camera instead of its sensor",
     "SIMULATED": "the packet was written by software",
     "TRIGGER_LOST": "the illuminator missed a trigger since the frame before",
 }
@@ -115,7 +116,7 @@ def run_study() -> str:
         codes = random_codes(int(1000 * occupancy), ROWS, COLS, occupancy, code_bits=CODE_BITS)
         hits = np.count_nonzero(codes)
         ideals.append(min(ROWS * COLS + hits * CODE_BITS, ROWS * COLS * CODE_BITS) / 8)
-    head = "| run | " + " | ".join(f"occupancy {o:g}" for o in OCCUPANCIES) + " | bank |"
+    head = "| run | " + " | ".join(f"occupancy {o:g}" for o in OCCUPANCIES) + " | buffer |"
     lines = [head, "|---" * (len(OCCUPANCIES) + 2) + "|"]
     for run in RUNS:
         cells = []
@@ -186,7 +187,7 @@ def bit_range(shift: int, width: int) -> str:
 
 
 def address_range(register: Register) -> str:
-    """Return the addresses of a register, and how those of an array follow."""
+    """Return the addresses of a register, and those of an array as a formula."""
     text = f"{register.address:#06x}"
     if register.words > 1:
         text += f"–{register.address + register.words - 1:#06x}"
@@ -249,11 +250,11 @@ BLOCKS: dict[str, Callable[[], str]] = {
 REGISTERS_HEAD = """\
 # Registers
 
-Written by `tools/protocol_docs.py` from the declarations in
+`tools/protocol_docs.py` generates this page from the declarations in
 `protocol/hueflight_protocol/*_map.py`; [protocol.md](protocol.md) has the rules. Addresses count
-32-bit words and are the same in every build; registers beyond a build's size are absent. Fields
-are given as bits, name, meaning. What is not part of a field reads as 0. Reset values are 0
-unless said otherwise; those of `const` registers are the values of the build shown here.
+32-bit words and are the same in every build; registers beyond the size of a build are absent.
+Fields are listed with their bits, name and meaning. Bits outside of fields read as 0. Reset values
+are 0 unless stated otherwise; those of `const` registers are the values of the build shown here.
 """
 
 
@@ -268,7 +269,7 @@ def registers_document() -> str:
 
 
 def filled(text: str) -> str:
-    """Return a document with all its generated blocks made new."""
+    """Return a document with all its generated blocks replaced."""
 
     def block(match: re.Match[str]) -> str:
         name = match.group(1)

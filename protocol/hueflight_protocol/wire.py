@@ -83,7 +83,7 @@ FRAME_HEADER = Layout(
         "version" / Const(VERSION, U8) * "of the wire format",
         "type" / Const(int(PacketType.FRAME), U8) * "1 = frame",
         "header_bytes" / Const(64, U16) * "size of this header",
-        "length" / Const(STREAMED, U32) * "streamed: the end is found by walking chunks",
+        "length" / Const(STREAMED, U32) * "unknown in advance: the chunks lead to the end (F1)",
         "sequence" / U32 * "number of the packet since reset, modulo 2^32",
         "timestamp" / U64 * "device clock at the start of the exposure, in clock ticks",
         "frame" / U64 * "number of the frame since the capture began; dropped frames count too",
@@ -179,7 +179,7 @@ EVENT_BODY = Layout(
     Struct(
         "code" / U16 * "see event codes",
         "level" / U8 * "0 = info, 1 = warning, 2 = error",
-        "reserved" / Const(0, U8) * "for later",
+        "reserved" / Const(0, U8) * "reserved for later versions",
         "count" / U32 * "occurrences since the capture began, saturating",
         "value" / I64 * "depends on the code",
     )

@@ -168,9 +168,9 @@ def scene(fig1: Fig1, write: bool) -> None:
     text = f"""\
 Away from steps {100 * (inside[away] < 1).mean():.0f} % of the depths lie within one reported
 standard deviation and {100 * (inside[away] < 1.96).mean():.0f} % within 1.96. Of the reflectances
-at 445 nm it is {100 * (blue[fig1.usable] < 1).mean():.0f} %: `reflectance_std` is the photons'
-noise and does not hold the blur of details. The effective resolution is {widths[1]:.0f} pixels
-(10 % of the pixels below {widths[0]:.0f}, 10 % above {widths[2]:.0f}).
+at 445 nm, {100 * (blue[fig1.usable] < 1).mean():.0f} % lie within one: `reflectance_std` is the
+photon noise and does not include the blur of details. The effective resolution is
+{widths[1]:.0f} pixels (10 % of the pixels below {widths[0]:.0f}, 10 % above {widths[2]:.0f}).
 """
     publish("few-photons.md", "coverage", text, write)
     if write:
@@ -235,7 +235,7 @@ def speed(fig1: Fig1, write: bool) -> None:
         ]
         for name, taken in seconds.items()
     ]
-    head = ["", "ms", "Mpixel/s", "of processor time, ms"]
+    head = ["", "ms", "Mpixel/s", "processor time, ms"]
     publish("few-photons.md", "speed", table(head, rows), write)
 
 

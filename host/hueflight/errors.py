@@ -12,6 +12,7 @@ __all__ = [
     "ImageError",
     "IngestError",
     "InstrumentError",
+    "KernelError",
     "OverflowPolicyError",
     "RecordingError",
     "SceneError",
@@ -26,8 +27,12 @@ class HistogramError(HueflightError):
     """Counts whose shape, type or content does not fit the instrument."""
 
 
+class KernelError(HueflightError):
+    """Compiled kernels that were asked for and are missing, or that do not fit the Python code."""
+
+
 class IngestError(HueflightError):
-    """Packets that can't be counted into the histogram asked for, or kernels that aren't there."""
+    """Packets that can't be counted into the histogram asked for."""
 
 
 class OverflowPolicyError(HistogramError):

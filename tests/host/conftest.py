@@ -1,6 +1,7 @@
 """Small instruments and photons drawn from continuous-time pulses, for all host tests."""
 
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import msgspec
@@ -9,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hueflight as hf
-from hueflight.fit.solver import compiled_kernel
+from hueflight import backend
 from hueflight.reconstruction.bounds import expected_shares
 from support.faulty_rig import FaultyRig
 
@@ -65,8 +66,20 @@ def draw() -> Draw:
 @pytest.fixture
 def compiled_fit() -> None:
     """The compiled fit is there, or the test is skipped."""
-    if compiled_kernel() is None:
+    if not backend.available("fit"):
         pytest.skip("no compiled fit was built")
+
+
+@pytest.fixture(params=backend.KERNELS["fit"].builds)
+def fit_build(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Every build of the compiled fit that this processor runs, in use."""
+    builds = backend.KERNELS["fit"].builds
+    base = pytest.importorskip(builds[-1])
+    if builds.index(request.param) < len(builds) - 1 - base.processor():
+        pytest.skip(f"this processor can't run {request.param}")
+    build = pytest.importorskip(request.param)
+    monkeypatch.setattr(backend, "compiled", lambda *_: build)
+    return build
 
 
 @pytest.fixture(scope="session")

@@ -18,9 +18,10 @@ from _measure import PIXELS, best_of, packets_of, table
 from numpy.typing import NDArray
 
 import hueflight as hf
+from hueflight import backend
 from hueflight.calibration import Calibration
-from hueflight.fit import solver as kernels
 from hueflight.fit.reference import FitOptions
+from hueflight.fit.solver import fit_pixels
 from hueflight.ingest import accumulate
 from hueflight.reconstruction import paper
 from hueflight.reconstruction import paper_kernel as paper_compiled
@@ -89,9 +90,9 @@ def methods(calibration: Calibration) -> None:
     for (photons, background), histogram in histograms.items():
         flat = calibration.bins.in_time_order(histogram).reshape(PIXELS, -1)
         name = f"joint fit, {photons} + {background} photons"
-        contenders[name] = lambda light=flat: kernels.fit_pixels(light, offsets, plan)
+        contenders[name] = lambda light=flat: fit_pixels(light, offsets, plan)
         if (photons, background) == (PHOTONS, BACKGROUND):
-            contenders[name + ", two threads"] = lambda light=flat: kernels.fit_pixels(
+            contenders[name + ", two threads"] = lambda light=flat: fit_pixels(
                 light, offsets, plan, threads=2
             )
     whole = histograms[PHOTONS, BACKGROUND]
@@ -202,8 +203,8 @@ def main() -> None:
     unknown = [name for name in wanted if name not in SECTIONS]
     if unknown:
         parser.error(f"no section {unknown[0]!r}; there are {', '.join(SECTIONS)}")
-    lanes = getattr(kernels.compiled_kernel(), "LANES", 1)
-    print(f"kernel: {kernels.chosen_backend(9)}, {lanes} lanes")
+    lanes = getattr(backend.compiled("fit"), "LANES", 1)
+    print(f"kernel: {backend.describe()['fit']}, {lanes} lanes")
     calibration = calibrated()
     for name in wanted:
         SECTIONS[name](calibration)

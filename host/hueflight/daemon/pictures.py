@@ -8,12 +8,12 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight import backend
 from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.acquisition.thread_priority import ThreadPriority, adopt
 from hueflight.calibration import Calibration
@@ -31,11 +31,12 @@ _WAIT_S = 0.5
 
 
 def live_method() -> str:
-    """The best method that keeps up with a live picture: the joint fit only where it is compiled.
+    """Return the best method that keeps up with live pictures.
 
-    Its definition in NumPy takes most of a minute for a picture of the paper's size.
+    That is the joint fit where the compiled one runs; its NumPy definition takes most of a minute
+    for an image of the paper's size.
     """
-    return "joint" if find_spec("hueflight.fit._kernels") is not None else "paper"
+    return "joint" if backend.compiled("fit") is not None else "paper"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,23 +1,20 @@
 """The joint fit, compiled where it could be: one function, checked here, the same either way.
 
-The compiled kernel is taken where it was built and has room for the plan's bands;
-``HUEFLIGHT_KERNELS=numpy`` or ``=c`` chooses by hand.
+The compiled kernel is taken where it was built and has room for the plan's bands; see
+`hueflight.backend`.
 """
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from functools import cache
-from importlib import import_module
 from typing import Any, Protocol, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import HueflightError
+from hueflight import backend
+from hueflight.errors import HueflightError, KernelError
 from hueflight.fit import change_detection as changes
 from hueflight.fit import reference as definition
 from hueflight.fit.packing import MOST_BANDS, PackedLevel, PackedTables, pack, rules
@@ -28,9 +25,6 @@ from hueflight.model.pileup import NEGLIGIBLE, coates_correction
 TILE_PIXELS = 2048  #: pixels that one thread takes at a time
 
 COUNT_TYPES = (np.uint16, np.uint32, np.float32)  #: that the compiled kernel reads
-
-#: the same kernel for AVX-512, for AVX2, and for any processor, the best first
-BUILDS = ("_kernels_v4", "_kernels_v3", "_kernels")
 
 _packed: WeakKeyDictionary[ModelTables, PackedTables] = WeakKeyDictionary()
 
@@ -49,37 +43,32 @@ class _Kernel(Protocol):
     def correlations(self, *buffers: Any) -> None: ...
 
 
-@cache
-def compiled_kernel() -> _Kernel | None:
-    """The best compiled fit that this processor can run, or None where there is none."""
-    try:
-        able: int = import_module("hueflight.fit._kernels").processor()
-    except ImportError:
-        return None
-    for name in BUILDS[2 - able :]:
-        with suppress(ImportError):  # its compiler may not have known that processor
-            return cast(_Kernel, import_module(f"hueflight.fit.{name}"))
-    return None
+def compiled_kernel(bands: int = 1) -> _Kernel | None:
+    """Return the compiled fit to use, or None for the NumPy definition.
 
+    Parameters
+    ----------
+    bands : int
+        Number of bands that are fitted together.
 
-def chosen_backend(bands: int) -> str:
-    """``"c"`` or ``"numpy"``.
+    Returns
+    -------
+    module or None
+        See `hueflight.backend.compiled`.
 
     Raises
     ------
-    HueflightError
-        If HUEFLIGHT_KERNELS asks for what is not there.
+    KernelError
+        If the compiled fit was asked for and is not there, or has no room for so many bands.
     """
-    wish = os.environ.get("HUEFLIGHT_KERNELS", "")
-    if wish not in ("", "c", "numpy"):
-        raise HueflightError(f"HUEFLIGHT_KERNELS = {wish!r}: must be 'c' or 'numpy'")
-    able = compiled_kernel() is not None and bands <= MOST_BANDS
-    if wish == "c" and not able:
-        raise HueflightError(
-            f"HUEFLIGHT_KERNELS = 'c', but there is no compiled fit for {bands} bands: install "
-            "with a C compiler, or leave the choice open"
-        )
-    return "c" if able and wish != "numpy" else "numpy"
+    if bands > MOST_BANDS:
+        if backend.requested() == "c":
+            raise KernelError(
+                f"HUEFLIGHT_KERNELS = 'c', but the compiled fit has room for {MOST_BANDS} bands "
+                f"and there are {bands}: leave the choice open, so that the NumPy definition runs"
+            )
+        return None
+    return cast("_Kernel | None", backend.compiled("fit"))
 
 
 def fit_pixels(
@@ -112,8 +101,8 @@ def fit_pixels(
         )
     if per_period is not None and float(np.max(per_period, initial=0.0)) < NEGLIGIBLE:
         per_period = None
-    compiled = chosen_backend(plan.bands) == "c"
-    if compiled and light.dtype not in COUNT_TYPES:
+    kernel = compiled_kernel(plan.bands)
+    if kernel is not None and light.dtype not in COUNT_TYPES:
         light = light.astype(np.float32)
 
     found = no_fit(which.size, plan.bands)
@@ -121,8 +110,8 @@ def fit_pixels(
     def fit_tile(tile: slice) -> None:
         rates = None if per_period is None else per_period[tile]
         into = found.take(tile)  # a view
-        if compiled:
-            _fit_compiled(light, which[tile], offsets_ns[tile], rates, plan, switches, into)
+        if kernel is not None:
+            _fit_compiled(kernel, light, which[tile], offsets_ns[tile], rates, plan, switches, into)
             return
         seen = light if pixels is None and len(which) <= TILE_PIXELS else light[which[tile]]
         found.put(
@@ -153,8 +142,7 @@ def survey(
     A counter is full at the end of its integer type.
     """
     kernel = compiled_kernel()
-    wish = os.environ.get("HUEFLIGHT_KERNELS", "")
-    if kernel is None or wish == "numpy" or counts.dtype not in COUNT_TYPES:
+    if kernel is None or counts.dtype not in COUNT_TYPES:
         full = np.zeros(len(counts), bool)
         if counts.dtype.kind in "ui":
             full = (counts == np.iinfo(counts.dtype).max).any(axis=-1)
@@ -175,9 +163,10 @@ def remembered(
     plan: ModelTables,
 ) -> NDArray[np.float32]:
     """What changes of pixels are told by, `found` being their fit; see `changes.remembered`."""
-    if chosen_backend(plan.bands) == "numpy" or light.dtype not in COUNT_TYPES:
+    kernel = compiled_kernel(plan.bands)
+    if kernel is None or light.dtype not in COUNT_TYPES:
         return changes.remembered(light[pixels], found, offsets_ns, plan)
-    kernel, packed = _packed_for(plan)
+    packed = _packed_for(plan, kernel)
     room = -(-plan.coarse.starts.size // changes.ROOM) * changes.ROOM
     memory = np.empty((len(pixels), 2, room), np.float32)
     kernel.remember(
@@ -202,9 +191,10 @@ def contrasts(
     plan: ModelTables,
 ) -> NDArray[np.float64]:
     """How much some pixels have changed, `memory` being of all; see `changes.contrasts`."""
-    if chosen_backend(plan.bands) == "numpy" or now.dtype not in COUNT_TYPES:
+    kernel = compiled_kernel(plan.bands)
+    if kernel is None or now.dtype not in COUNT_TYPES:
         return changes.contrasts(now[pixels], memory[pixels], scales, delays_ns, plan)
-    kernel, packed = _packed_for(plan)
+    packed = _packed_for(plan, kernel)
     result = np.empty(len(pixels), np.float32)
     kernel.contrasts(
         now,
@@ -218,15 +208,14 @@ def contrasts(
     return result.astype(np.float64)
 
 
-def _packed_for(plan: ModelTables) -> tuple[_Kernel, PackedTables]:
-    kernel = compiled_kernel()
-    assert kernel is not None  # chosen_backend has seen to it
+def _packed_for(plan: ModelTables, kernel: _Kernel) -> PackedTables:
     if plan not in _packed:
         _packed[plan] = pack(plan, kernel.LANES)
-    return kernel, _packed[plan]
+    return _packed[plan]
 
 
 def _fit_compiled(
+    kernel: _Kernel,
     light: NDArray[Any],
     pixels: NDArray[np.int64],
     offsets_ns: NDArray[np.float64],
@@ -235,7 +224,7 @@ def _fit_compiled(
     switches: FitOptions,
     into: Fit,
 ) -> None:
-    kernel, packed = _packed_for(plan)
+    packed = _packed_for(plan, kernel)
     rates = np.empty(0) if per_period is None else per_period
     kernel.fit(
         light,

@@ -1,20 +1,20 @@
-"""The seam to the two hot kernels, compiled or NumPy, which give the same bits.
+"""The interface of the two hot kernels, compiled or NumPy, which give the same bits.
 
-Both backends are modules with the functions `scan` and `count`. The compiled one is taken where
-it was built; ``HUEFLIGHT_KERNELS=numpy`` or ``=c`` chooses by hand.
+Both implementations are modules with the functions `scan` and `count`; `hueflight.backend` decides
+which of them is used.
 """
 
 from __future__ import annotations
 
-import os
 from functools import cache
-from importlib import import_module
+from types import ModuleType
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import IngestError
+from hueflight import backend
+from hueflight.errors import KernelError
 from hueflight.ingest import numpy_kernels
 from hueflight.ingest.numpy_kernels import (
     ADD,
@@ -132,55 +132,51 @@ def _wire_constants() -> dict[str, int]:
     }
 
 
-def _compiled() -> Kernels | None:
-    """The C kernels, or None where they were not built.
-
-    Raises
-    ------
-    IngestError
-        If they were built for another version of the wire format.
-    """
-    try:
-        module = import_module("hueflight.ingest._kernels")
-    except ImportError:
-        return None
-    built = {name: getattr(module, name, None) for name in _wire_constants()}
-    stale = [name for name, value in _wire_constants().items() if built[name] != value]
-    if stale or tuple(module.STATE.split()) != STATE:
-        raise IngestError(
-            f"the compiled kernels were built from other sources ({', '.join(stale) or 'STATE'} "
-            "differ): install the package again, or set HUEFLIGHT_KERNELS=numpy"
-        )
-    return cast("Kernels", module)
-
-
 def available() -> dict[str, Kernels]:
-    """The backends that are there, by name: ``"numpy"`` always, ``"c"`` where it was built."""
+    """Return the usable implementations by name.
+
+    Returns
+    -------
+    dict
+        ``"numpy"`` always, ``"c"`` where it was compiled.
+    """
     found: dict[str, Kernels] = {"numpy": cast("Kernels", numpy_kernels)}
-    if (compiled := _compiled()) is not None:
-        found["c"] = compiled
+    if backend.available("ingest"):
+        found["c"] = choose("c")
     return found
 
 
-@cache  # checking takes longer than counting an empty frame
-def _fastest() -> Kernels:
-    return _compiled() or cast("Kernels", numpy_kernels)
-
-
 def choose(name: str | None = None, /) -> Kernels:
-    """The backend called `name`; by default what ``HUEFLIGHT_KERNELS`` says, else the fastest.
+    """Return an implementation of the kernels.
+
+    Parameters
+    ----------
+    name : str, optional
+        ``"c"`` or ``"numpy"``; by default what ``HUEFLIGHT_KERNELS`` asks for, else the fastest.
+
+    Returns
+    -------
+    Kernels
+        The functions `scan` and `count`.
 
     Raises
     ------
-    IngestError
-        If there is no such backend here.
+    KernelError
+        If there is no such implementation here.
     """
-    name = name or os.environ.get("HUEFLIGHT_KERNELS") or None
-    if name == "numpy":
+    module = backend.compiled("ingest", name)
+    if module is None:
         return cast("Kernels", numpy_kernels)
-    if name is None:
-        return _fastest()
-    found = available()
-    if name not in found:
-        raise IngestError(f"no kernels {name!r} here: there are {', '.join(sorted(found))}")
-    return found[name]
+    _check(module)
+    return cast("Kernels", module)
+
+
+@cache  # takes longer than counting an empty frame
+def _check(module: ModuleType) -> None:
+    built = {name: getattr(module, name, None) for name in _wire_constants()}
+    stale = [name for name, value in _wire_constants().items() if built[name] != value]
+    if stale or tuple(module.STATE.split()) != STATE:
+        raise KernelError(
+            f"the compiled kernels were built from other sources ({', '.join(stale) or 'STATE'} "
+            "differ): install the package again, or set HUEFLIGHT_KERNELS=numpy"
+        )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
-from hueflight.fit.solver import COUNT_TYPES, chosen_backend, compiled_kernel
+from hueflight.fit.solver import COUNT_TYPES, compiled_kernel
 
 TILE_PIXELS = 1024  #: pixels made ready at once
 
@@ -71,15 +71,14 @@ def measure(
     photons : the most that a pixel holds.
     outside : (bin,) bins that belong to no window.
     """
-    if light.dtype not in COUNT_TYPES[:2] or chosen_backend(1) == "numpy":
+    kernel = compiled_kernel()
+    if kernel is None or light.dtype not in COUNT_TYPES[:2]:
         return None
     if calibration not in _ready:
         _ready[calibration] = _made_ready(calibration, search, outside)
     ready = _ready[calibration]
     if ready is None or photons * (search.half_width + 2) >= 2**31:  # its sums are of 32 bits
         return None
-    kernel = compiled_kernel()
-    assert kernel is not None  # chosen_backend has seen to it
     count, bands = len(pixels), len(calibration.instrument.bands)
     delay, deviation, background = (np.empty(count) for _ in range(3))
     sums = np.empty((count, bands))

@@ -1,7 +1,5 @@
 """The compiled fit against its definition: the same results to single precision's rounding."""
 
-from importlib import import_module
-
 import msgspec
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from hueflight.errors import HueflightError
 from hueflight.fit import reference as definition
 from hueflight.fit import solver as kernels
 from hueflight.fit.reference import FitOptions
-from hueflight.fit.solver import BUILDS, fit_pixels
+from hueflight.fit.solver import fit_pixels
 from hueflight.reconstruction.joint import tables_for_calibration
 
 compiled = pytest.mark.usefixtures("compiled_fit")
@@ -60,15 +58,9 @@ def test_same_results(plans, draw, monkeypatch, tail_ns, photons, background):
     assert (np.isfinite(slow.other_ns) == np.isfinite(fast.other_ns)).mean() > 0.97
 
 
-@compiled
-@pytest.mark.parametrize("name", BUILDS)
-def test_every_width_of_vectors_gives_the_same(plans, draw, monkeypatch, name):
-    able = import_module("hueflight.fit._kernels").processor()
-    if BUILDS.index(name) < 2 - able:
-        pytest.skip(f"this processor can't run {name}")
-    build = pytest.importorskip(f"hueflight.fit.{name}")
-    assert {"_kernels_v4": 16, "_kernels_v3": 8, "_kernels": 4}[name] == build.LANES
-    monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
+def test_every_width_of_vectors_gives_the_same(plans, draw, monkeypatch, fit_build):
+    lanes = {"_kernels_v4": 16, "_kernels_v3": 8, "_kernels": 4}
+    assert lanes[fit_build.__name__.rpartition(".")[2]] == fit_build.LANES
     instrument, plan = plans[6.0]
     kernels._packed.pop(plan, None)  # its tables are laid out for one width
     counts = draw(instrument, depth=0.9, photons=200, background=100)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hueflight as hf
+from hueflight import backend
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.fit import packing
 from hueflight.fit import solver as kernels
@@ -141,7 +142,7 @@ def test_bins_without_a_pulse(setting, monkeypatch):
     instrument, calibration, counts = setting
     plan = tables_for_calibration(calibration, (-14.0, 14.0))
     light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
-    kernel = kernels.compiled_kernel()
+    kernel = backend.compiled("fit", "c")
     packed = {skip: packing.pack(plan, kernel.LANES, skip_dark=skip) for skip in (True, False)}
     assert len(packed[True].fine.data) < 0.5 * len(packed[False].fine.data)
     found = {}

@@ -1,14 +1,12 @@
 """The paper's method compiled, against its definition: the same to single precision's rounding."""
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.fit import solver as kernels
-from hueflight.fit.solver import BUILDS, compiled_kernel
+from hueflight import backend
 from hueflight.reconstruction import paper
 from hueflight.reconstruction import paper_kernel as paper_compiled
 
@@ -75,14 +73,8 @@ def test_same_results(instrument, calibration, draw, depth, photons, background)
     assert_same(*both(light, calibration))
 
 
-@compiled
-@pytest.mark.parametrize("name", BUILDS)
-def test_every_width_of_vectors_gives_the_same(instrument, calibration, draw, monkeypatch, name):
-    able = import_module("hueflight.fit._kernels").processor()
-    if BUILDS.index(name) < 2 - able:
-        pytest.skip(f"this processor can't run {name}")
-    build = pytest.importorskip(f"hueflight.fit.{name}")
-    monkeypatch.setattr(paper_compiled, "compiled_kernel", lambda: build)
+@pytest.mark.usefixtures("fit_build")
+def test_every_width_of_vectors_gives_the_same(instrument, calibration, draw):
     counts = draw(instrument, depth=0.9, photons=620, background=62)
     assert_same(*both(instrument.time_bins().in_time_order(counts), calibration))
 
@@ -185,7 +177,7 @@ def test_counts_the_kernel_does_not_read_go_by_the_definition(instrument, calibr
 @compiled
 def test_buffers_that_do_not_fit_are_refused(instrument, calibration, draw):
     light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).reshape(144, -1)
-    kernel = compiled_kernel()
+    kernel = backend.compiled("fit", "c")
     both(light, calibration)
     ready = paper_compiled._ready[calibration]
 
@@ -211,4 +203,3 @@ def test_buffers_that_do_not_fit_are_refused(instrument, calibration, draw):
         run(numbers=np.array([10, 20, 30, 1, 9, 1], np.int32))
     with pytest.raises(ValueError, match="six integers"):
         run(numbers=ready.numbers[:5])
-    assert kernels.chosen_backend(9) == "c"

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import hueflight as hf
+from hueflight import backend
 from hueflight.fit import reference as definition
-from hueflight.fit.solver import compiled_kernel, fit_pixels
+from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import ScheduleView, make_tables, summed
 from hueflight.model.waveforms import Templates
 from hueflight.reconstruction.bounds import expected_shares
@@ -20,7 +21,7 @@ from hueflight.reconstruction.joint import tables_for_calibration
 from hueflight.reconstruction.quality import Quality
 
 ROWS, COLS = 4, 6
-BACKENDS = ["numpy"] + (["c"] if compiled_kernel() is not None else [])
+BACKENDS = ["numpy"] + (["c"] if backend.available("fit") else [])
 
 
 @pytest.fixture(params=BACKENDS, autouse=True)

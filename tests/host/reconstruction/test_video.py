@@ -1,7 +1,5 @@
 """Video: what has not changed keeps its values and is flagged; what has is seen."""
 
-from importlib import import_module
-
 import numpy as np
 import pytest
 
@@ -92,14 +90,8 @@ def test_switched_off(setting):
     np.testing.assert_array_equal(image["depth"], hf.reconstruct(shot(2), calibration)["depth"])
 
 
-@pytest.mark.usefixtures("compiled_fit")
-@pytest.mark.parametrize("name", kernels.BUILDS)
-def test_compiled_contrasts_are_those_of_the_definition(setting, monkeypatch, name):
-    able = import_module("hueflight.fit._kernels").processor()
-    if kernels.BUILDS.index(name) < 2 - able:
-        pytest.skip(f"this processor can't run {name}")
-    build = pytest.importorskip(f"hueflight.fit.{name}")
-    monkeypatch.setattr(kernels, "compiled_kernel", lambda: build)
+@pytest.mark.usefixtures("fit_build")
+def test_compiled_contrasts_are_those_of_the_definition(setting):
     calibration, shot = setting
     plan = tables_for_calibration(
         calibration, (-15.0, 15.1)

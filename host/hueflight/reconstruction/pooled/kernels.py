@@ -5,8 +5,7 @@ pixel lacks its neighbours lend, each with a weight between 0 and 1 that falls w
 to 0 where the pixel's own pool so far says that the neighbour shows something else (propagation
 and separation: Polzehl and Spokoiny, J. R. Stat. Soc. B 62, 335, 2000).
 
-The compiled loops are taken where they were built; ``HUEFLIGHT_KERNELS=numpy`` or ``=c`` chooses
-by hand.
+The compiled loops are taken where they were built; see `hueflight.backend`.
 """
 
 from __future__ import annotations
@@ -17,14 +16,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import HueflightError
+from hueflight import backend
 
 LANES = 16  #: pixels that the compiled loop takes side by side
 MOST_PLANES, MOST_GROUPS = 40, 8  #: that it has room for
@@ -33,30 +30,6 @@ ENTRIES = 12  #: a pixel that photons are at first given room for
 
 Floats = NDArray[np.float32]
 Result = TypeVar("Result")
-
-
-def compiled() -> ModuleType | None:
-    """The compiled loops, or None for those in NumPy.
-
-    Raises
-    ------
-    HueflightError
-        If HUEFLIGHT_KERNELS asks for what is not there.
-    """
-    wish = os.environ.get("HUEFLIGHT_KERNELS", "")
-    if wish not in ("", "c", "numpy"):
-        raise HueflightError(f"HUEFLIGHT_KERNELS = {wish!r}: must be 'c' or 'numpy'")
-    if wish == "numpy":
-        return None
-    try:
-        return import_module("hueflight.reconstruction.pooled._kernels")
-    except ImportError:
-        if wish == "c":
-            raise HueflightError(
-                "HUEFLIGHT_KERNELS = 'c', but the loops were not compiled: install with a C "
-                "compiler, or leave the choice open"
-            ) from None
-        return None
 
 
 def in_parts(
@@ -139,7 +112,7 @@ def list_photons(
     offsets_ns : (pixel,) delay of the pixel's own.
     """
     period = np.array([period_ns], np.float32)
-    native = compiled()
+    native = backend.compiled("pooled")
     if native is None:
         pixel, code = np.nonzero(np.where(times_ns >= 0, counts, 0))
         starts = np.zeros(len(counts) + 1, np.int64)
@@ -167,7 +140,7 @@ def lag_likelihood(
 ) -> Floats:
     """Log-likelihood (pixel, lag) of delays of whole cells of a table (cell,) of the circle."""
     result = np.zeros((photons.pixels, lags.size), np.float32)
-    native = compiled()
+    native = backend.compiled("pooled")
     if native is not None:
         scale = np.array([cells_per_ns], np.float32)
         native.lags(
@@ -185,7 +158,7 @@ def slot_counts(
 ) -> Floats:
     """Photons (slot, pixel) by the slot (cell,) that their time after the delay falls into."""
     result = np.zeros((count, photons.pixels), np.float32)
-    native = compiled()
+    native = backend.compiled("pooled")
     if native is not None:
         scale = np.array([cells_per_ns], np.float32)
         native.slots(
@@ -214,7 +187,7 @@ def scores(
     amplitudes : (pixel, band).
     floors : (pixel,) background per ns.
     """
-    native = compiled()
+    native = backend.compiled("pooled")
     if native is not None:
         score, information = np.empty((2, photons.pixels), np.float32)
         scale = np.array([cells_per_ns], np.float32)
@@ -326,7 +299,7 @@ def pool(
     steps, kernel = neighbours(radius)
     rim = int(np.abs(steps).max(initial=0))
     roots = np.sqrt(like.means)
-    native = compiled()
+    native = backend.compiled("pooled")
     if planes > MOST_PLANES or like.means.shape[0] > MOST_GROUPS:
         native = None
 

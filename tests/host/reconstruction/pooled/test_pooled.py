@@ -10,14 +10,13 @@ import pytest
 from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 
 import hueflight as hf
-from hueflight import simulator
+from hueflight import backend, simulator
 from hueflight.errors import HueflightError
 from hueflight.reconstruction.pooled import estimate as few_photons
-from hueflight.reconstruction.pooled import kernels as pooling
 from hueflight.reconstruction.pooled.kernels import Likeness, Limits, list_photons, neighbours, pool
 from hueflight.reconstruction.quality import Quality
 
-native = pytest.mark.skipif(pooling.compiled() is None, reason="the loops were not compiled")
+native = pytest.mark.skipif(not backend.available("pooled"), reason=backend.why_not("pooled"))
 FRAMES = 10
 ORANGE = (1, 1, 0.9, 0.5, 0.1, 0.05, 0.05, 0.05, 0.05)
 BLUE = (0.03, 0.03, 0.03, 0.03, 0.05, 0.3, 1, 1, 0.8)
@@ -205,9 +204,9 @@ def test_the_compiled_loops_do_the_same(instrument, calibration, draw, monkeypat
     counts[..., 0] = 0
     counts = counts.astype(dtype)
     found = {}
-    for backend in ("c", "numpy"):
-        monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
-        found[backend] = few_photons.estimate(counts, None, calibration)
+    for implementation in ("c", "numpy"):
+        monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
+        found[implementation] = few_photons.estimate(counts, None, calibration)
     for name in ("depth", "depth_std", "reflectance", "resolution"):
         fast, slow = getattr(found["c"], name), getattr(found["numpy"], name)
         # a photon on the border of two cells may fall into either
@@ -229,18 +228,18 @@ def test_pooling_in_c_is_pooling_in_numpy(monkeypatch, shape):
     valid = rng.random(shape) < 0.8
     limits = Limits(colour=4.0, depth_colour=6.0, depth=2.0)
     results = []
-    for backend in ("c", "numpy"):
-        monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
+    for implementation in ("c", "numpy"):
+        monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
         results.append(pool(data, 3, valid, np.ones(shape, bool), like, 3.5, limits))
     for name in ("sums", "weight", "squares", "depth_squares"):
         fast, slow = (getattr(result, name) for result in results)
         np.testing.assert_allclose(fast, slow, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("backend", ["numpy", pytest.param("c", marks=native)])
-def test_pooling_of_equals_is_a_plain_sum(monkeypatch, backend):
+@pytest.mark.parametrize("implementation", ["numpy", pytest.param("c", marks=native)])
+def test_pooling_of_equals_is_a_plain_sum(monkeypatch, implementation):
     """Where all look alike every neighbour counts by distance alone."""
-    monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
     shape = (9, 20)
     flat = np.ones(shape, np.float32)
     like = Likeness(flat[None], flat, 100 * flat, 100 * flat)
@@ -254,9 +253,9 @@ def test_pooling_of_equals_is_a_plain_sum(monkeypatch, backend):
     assert found.weight[0, 0] < 0.5 * kernel.sum()
 
 
-@pytest.mark.parametrize("backend", ["numpy", pytest.param("c", marks=native)])
-def test_list_of_photons_is_the_histogram(monkeypatch, backend):
-    monkeypatch.setenv("HUEFLIGHT_KERNELS", backend)
+@pytest.mark.parametrize("implementation", ["numpy", pytest.param("c", marks=native)])
+def test_list_of_photons_is_the_histogram(monkeypatch, implementation):
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
     counts = np.random.default_rng(0).poisson(0.02, (30, 37)).astype(np.uint16)
     times = np.arange(37, dtype=np.float32)
     times[0] = -1  # no photon

@@ -1,9 +1,14 @@
-"""How the documentation is built: ``python -m sphinx -W docs out/docs``."""
+"""Configuration of the documentation; ``python -m sphinx -W docs out/docs`` builds it."""
 
 import os
 import sys
+from importlib import import_module
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+from sphinx.domains.python import PyObject
 
 os.environ.setdefault("MPLBACKEND", "agg")
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
@@ -31,7 +36,55 @@ executed_files = ["tutorials/small.toml"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_default_options = {"members": True}
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 110  # longer signatures have one parameter per line
+# Aliases are shown by their names; otherwise signatures spell out all that ArrayLike allows.
+ALIASES = ("ArrayLike", "DTypeLike", "NDArray", "Region")
+autodoc_type_aliases = {name: name for name in ALIASES}
+
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
+
+
+def shorten_factories(
+    _app: Sphinx,
+    _what: str,
+    _name: str,
+    _obj: Any,
+    _options: Any,
+    signature: str | None,
+    returns: str | None,
+) -> tuple[str, str | None] | None:
+    """Write ``...`` for defaults that a dataclass computes, so that signatures are valid Python."""
+    if not signature or "<factory>" not in signature:
+        return None
+    return signature.replace("<factory>", "..."), returns
+
+
+def is_described_elsewhere(
+    app: Sphinx, what: str, name: str, obj: Any, _skip: bool, _options: Any
+) -> bool | None:
+    """Describe each object once: at the top level, or else in the package that defines it."""
+    page = app.env.docname.removeprefix("api/")
+    if what != "module" or page == "hueflight":
+        return None
+    if name in import_module("hueflight").__all__:
+        return True
+    root, _, path = getattr(obj, "__module__", "").partition(".")
+    package = path.partition(".")[0]
+    if root != "hueflight" or package in ("", page):
+        return None
+    return name in getattr(import_module(f"hueflight.{package}"), "__all__", ()) or None
+
+
+def setup(app: Sphinx) -> None:
+    """Connect the handlers, and name the attributes of classes as their docstrings do."""
+    app.connect("autodoc-process-signature", shorten_factories)
+    app.connect("autodoc-skip-member", is_described_elsewhere)
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"

@@ -1,13 +1,13 @@
-"""Compare the compiled kernels, their NumPy twins and the reference parser on hostile streams.
+"""Compare compiled kernels, NumPy kernels and the reference parser on damaged streams.
 
     python3 tools/dev.py run python tools/fuzz/differential.py --seconds 60
 
-Every input goes through both kernels, whose answers must be the same bit for bit: positions,
-tables, totals, counts. Where all damage is such that CRCs see it, the reference parser must find
-the same frames too. Inputs are streams of random geometry, occupancy and run length with flipped
-bits, cuts, insertions, repetitions, lying counts behind mended CRCs, and plain noise; and, with
-``--corpus``, what the other fuzzer has found. With ``--sanitize`` (gcc or clang) the C code is
-built with AddressSanitizer and UndefinedBehaviorSanitizer.
+Every input is given to both backends, whose results must be bit-identical: positions, tables,
+totals and counts. Where CRCs detect all damage, the reference parser must find the same frames too.
+The inputs are streams of random geometry, occupancy and run length with flipped bits, cuts,
+insertions, repetitions, contradictory counts with corrected CRCs, and noise; with ``--corpus`` also
+the inputs of tools/fuzz/corpus.zip. With ``--sanitize`` the C code is built by gcc with
+AddressSanitizer and UndefinedBehaviorSanitizer.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Geometry = tuple[int, int, int]
 
 
 def build_sanitized() -> Path:
-    """Compile the extension with sanitizers."""
+    """Compile the extension with sanitizers and return the library."""
     BUILD.mkdir(parents=True, exist_ok=True)
     library = BUILD / "_kernels.abi3.so"
     flags = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-shared"]
@@ -51,7 +51,7 @@ def build_sanitized() -> Path:
 
 
 def load(library: Path) -> Any:
-    """The kernels in another file than the installed one."""
+    """Load the kernels from another file than the installed one."""
     spec = spec_from_file_location("hueflight.ingest._kernels", library)
     assert spec is not None
     assert spec.loader is not None
@@ -60,8 +60,8 @@ def load(library: Path) -> Any:
     return module
 
 
-def answers(kernels: Any, data: bytes, geometry: Geometry, final: bool, limit: int) -> list[Any]:
-    """Everything that a backend says about a stream, and at the end the counts."""
+def results(kernels: Any, data: bytes, geometry: Geometry, final: bool, limit: int) -> list[Any]:
+    """Return everything that a backend returns for a stream, and at the end the counts."""
     rows, cols, code_bits = geometry
     state = np.zeros(len(STATE), np.int64)
     state[0] = 1
@@ -69,8 +69,8 @@ def answers(kernels: Any, data: bytes, geometry: Geometry, final: bool, limit: i
     headers, places = np.zeros((limit, 64), np.uint8), np.zeros((limit, 2), np.uint64)
     others = np.zeros((3, 2), np.uint64)
     tables = [np.zeros((rows * cols, 1 << code_bits), kind) for kind in (np.uint16, np.uint32)]
-    tables[0][:, 1:] = 65533  # soon full
-    said: list[Any] = []
+    tables[0][:, 1:] = 65533  # nearly full
+    returned: list[Any] = []
     position = 0
     while True:
         found = Scanned(
@@ -79,37 +79,37 @@ def answers(kernels: Any, data: bytes, geometry: Geometry, final: bool, limit: i
                 state, chunks, headers, places, others,
             )
         )  # fmt: skip
-        said += [found, state.tolist(), others[: found.others].tolist()]
+        returned += [found, state.tolist(), others[: found.others].tolist()]
         if found.frames:
             count = -(-rows * cols // found.run)
             table = chunks[: count * found.stride].reshape(count, found.stride)
-            said += [table[:, : found.frames].tolist(), places[: found.frames].tolist()]
+            returned += [table[:, : found.frames].tolist(), places[: found.frames].tolist()]
             chosen = np.arange(found.frames, dtype=np.uint32)
             for out, modes in ((tables[0], (ADD, SUBTRACT, SATURATE)), (tables[1], (ADD,))):
                 done = np.zeros((count, -(-found.run // TILE)), np.uint8)
                 for mode in modes:
                     if mode == SATURATE:
                         done[:] = 0
-                    said.append(
+                    returned.append(
                         kernels.count(
                             data, chunks, found.stride, chosen, rows * cols, code_bits, found.run,
                             out, out.dtype == np.uint32, mode, done, 0, count,
                         )
                     )  # fmt: skip
-                    said.append(done.tolist())
+                    returned.append(done.tolist())
         position = found.position
         if found.ended:
-            return [*said, tables[0].tobytes(), tables[1].tobytes()]
+            return [*returned, tables[0].tobytes(), tables[1].tobytes()]
 
 
-def last_state(said: list[Any]) -> dict[str, int]:
-    """Totals after the last call of `scan`."""
-    at = max(i for i, item in enumerate(said) if isinstance(item, Scanned))
-    return dict(zip(STATE, said[at + 1], strict=True))
+def last_state(returned: list[Any]) -> dict[str, int]:
+    """Return the totals after the last call of `scan`."""
+    at = max(i for i, item in enumerate(returned) if isinstance(item, Scanned))
+    return dict(zip(STATE, returned[at + 1], strict=True))
 
 
 def random_stream(rng: np.random.Generator) -> tuple[bytes, Geometry]:
-    """A few frames of one geometry as packets."""
+    """Return a few frames of one geometry as packets."""
     rows, cols = rng.integers(1, 20, 2).tolist()
     code_bits = int(rng.integers(1, 11))
     packets = []
@@ -135,7 +135,7 @@ def random_stream(rng: np.random.Generator) -> tuple[bytes, Geometry]:
 
 
 def damage(data: bytes, rng: np.random.Generator) -> bytes:
-    """Change a stream here and there."""
+    """Damage a stream at random places."""
     octets = bytearray(data)
     for _ in range(rng.integers(0, 5)):
         at = int(rng.integers(len(octets) + 1))
@@ -156,8 +156,8 @@ def damage(data: bytes, rng: np.random.Generator) -> bytes:
     return bytes(octets)
 
 
-def lie(data: bytes, rng: np.random.Generator) -> bytes:
-    """Change words of intact packets and put their checks right again."""
+def contradict(data: bytes, rng: np.random.Generator) -> bytes:
+    """Change words of intact packets and correct the check words and CRCs."""
     octets = bytearray(data)
     starts = [at for at in range(0, len(octets), 8) if octets[at : at + 4] == MAGIC]
     for start, stop in zip(starts, [*starts[1:], len(octets)], strict=True):
@@ -181,16 +181,16 @@ def lie(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def compare(c: Any, data: bytes, geometry: Geometry, final: bool, limit: int) -> list[Any]:
-    """Both backends on one input; complain if they differ."""
-    compiled = answers(c, data, geometry, final, limit)
-    numpy = answers(numpy_kernels, data, geometry, final, limit)
+    """Compare both backends on one input and exit if they differ."""
+    compiled = results(c, data, geometry, final, limit)
+    numpy = results(numpy_kernels, data, geometry, final, limit)
     if compiled != numpy:
-        raise SystemExit(f"different answers: {geometry=} {final=} {limit=} data={data.hex()}")
+        raise SystemExit(f"different results: {geometry=} {final=} {limit=} data={data.hex()}")
     return compiled
 
 
-def compare_with_parser(said: list[Any], data: bytes, geometry: Geometry) -> None:
-    """The reference parser on the same input; complain if it finds other frames."""
+def compare_with_parser(returned: list[Any], data: bytes, geometry: Geometry) -> None:
+    """Compare with the reference parser and exit if it finds other frames."""
     rows, cols, code_bits = geometry
     parser = PacketParser()
     packets = [*parser.feed(data), *parser.finish()]
@@ -199,14 +199,14 @@ def compare_with_parser(said: list[Any], data: bytes, geometry: Geometry) -> Non
         content = packet.content
         if isinstance(content, Frame) and content.codes.shape == (rows, cols):
             expected[np.arange(rows * cols), content.codes.reshape(-1)] += 1
-    state = last_state(said)
+    state = last_state(returned)
     totals = {name: getattr(parser.report, name) for name in REPORTED}
-    if {name: state[name] for name in REPORTED} != totals or said[-1] != expected.tobytes():
+    if {name: state[name] for name in REPORTED} != totals or returned[-1] != expected.tobytes():
         raise SystemExit(f"the reference parser differs: {geometry=} data={data.hex()}")
 
 
 def replay(c: Any, corpus: Path) -> int:
-    """All inputs of a corpus, which start with four bytes of options (see kernels.c)."""
+    """Compare on all inputs of a corpus, whose first four bytes are options (see kernels.c)."""
     geometries = [(1, 1, 1), (3, 5, 9), (8, 8, 9), (1, 2, 13), (10, 13, 8), (5, 64, 7)]
     geometries += [(32, 32, 4), (256, 8, 2)]
     with ZipFile(corpus) as kept:
@@ -219,7 +219,7 @@ def replay(c: Any, corpus: Path) -> int:
 
 
 def fuzz(c: Any, seconds: float, seed: int) -> int:
-    """Random inputs for a while."""
+    """Compare on random inputs for a number of seconds; return how many there were."""
     end = time.monotonic() + seconds
     tries = 0
     while time.monotonic() < end:
@@ -230,20 +230,20 @@ def fuzz(c: Any, seconds: float, seed: int) -> int:
         if kind == 0:
             data = rng.bytes(int(rng.integers(400)))
         elif kind <= 3:
-            data = damage(lie(data, rng), rng)
+            data = damage(contradict(data, rng), rng)
         else:
             data = damage(data, rng)
-        said = compare(c, data, geometry, final, limit)
+        returned = compare(c, data, geometry, final, limit)
         if kind > 3 and final:
-            compare_with_parser(said, data, geometry)
+            compare_with_parser(returned, data, geometry)
         tries += 1
     return tries
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=60, help="duration of the run")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random inputs")
     parser.add_argument("--corpus", action="store_true", help="replay tools/fuzz/corpus.zip first")
     parser.add_argument("--sanitize", action="store_true", help="build with ASan and UBSan")
     parser.add_argument("--library", type=Path, help=argparse.SUPPRESS)
@@ -259,7 +259,7 @@ def main() -> None:
     c = load(arguments.library) if arguments.library else choose("c")
     replayed = replay(c, CORPUS) if arguments.corpus else 0
     tries = fuzz(c, arguments.seconds, arguments.seed)
-    print(f"{replayed} inputs of the corpus, {tries} random ones: no difference")
+    print(f"{replayed} inputs of the corpus and {tries} random inputs: no difference")
 
 
 if __name__ == "__main__":

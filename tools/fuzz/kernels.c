@@ -1,9 +1,9 @@
-/* libFuzzer target: hostile packets through both kernels.
+/* libFuzzer target: arbitrary packets through both kernels.
  *
- * The first bytes of an input choose geometry and options, the rest is the stream. With a flag the
- * headers' check words are put right, and the build lets every CRC pass, so that the fuzzer gets to
- * the chunks. All buffers have exactly the size that the kernels are promised, so that
- * AddressSanitizer sees any byte beyond. Besides, what is counted must add up. */
+ * The first bytes of an input select geometry and options, the rest is the stream. One option
+ * corrects the check words of the headers, and the build accepts every CRC, so that the fuzzer
+ * reaches the chunks. All buffers have exactly the size that the kernels require, so that
+ * AddressSanitizer detects any access past their end. The sums of the counts are checked too. */
 #include <stdio.h>
 
 #include "wire.h"
@@ -21,26 +21,26 @@ static const struct { unsigned rows, cols, bits; size_t chunks; } GEOMETRIES[] =
     {5, 64, 7, 64}, {32, 32, 4, 1024}, {256, 8, 2, 600},
 };
 
-static void must(int truth, const char *what)
+static void check(int holds, const char *what)
 {
-    if (!truth) {
-        fprintf(stderr, "broken: %s\n", what);
+    if (!holds) {
+        fprintf(stderr, "check failed: %s\n", what);
         abort();
     }
 }
 
-/* Put the check words of all headers right. */
+/* Correct the check words of all headers. */
 static void mend(uint8_t *data, size_t size)
 {
     for (size_t at = 0; (at = find_magic(data, at, size)) + OTHER_HEADER <= size; at++) {
         size_t bytes = load16(data + at + AT_HEADER_BYTES);
         if (bytes % 8 || bytes < OTHER_HEADER || bytes > MAX_HEADER || at + bytes > size)
             continue;
-        uint32_t check = 0;
+        uint32_t word = 0;
         for (size_t i = 0; i < bytes - 4; i += 4)
-            check ^= load32(data + at + i);
+            word ^= load32(data + at + i);
         for (unsigned i = 0; i < 4; i++)
-            data[at + bytes - 4 + i] = (uint8_t)(check >> 8 * i);
+            data[at + bytes - 4 + i] = (uint8_t)(word >> 8 * i);
     }
 }
 
@@ -52,7 +52,7 @@ static uint64_t total(const Count *count)
     return sum;
 }
 
-/* Count the frames at hand with every policy; the sums must be those of the frames. */
+/* Count the scanned frames with every policy; the sums must match the number of frames. */
 static void count_frames(const Scan *scan, unsigned options)
 {
     size_t pixels = (size_t)scan->rows * scan->cols;
@@ -74,12 +74,12 @@ static void count_frames(const Scan *scan, unsigned options)
         if (mode == STORE || mode == SATURATE)
             memset(count.done, 0, chunks * ((scan->run + TILE - 1) / TILE));
         count.mode = mode;
-        must(count_chunks(&count, 0, chunks / 2) == OK, "first half");
-        must(count_chunks(&count, chunks / 2, chunks) == OK, "second half");
+        check(count_chunks(&count, 0, chunks / 2) == OK, "first half");
+        check(count_chunks(&count, chunks / 2, chunks) == OK, "second half");
         uint64_t frames = scan->frames * pixels, after = total(&count);
-        must(mode == STORE ? after == frames : mode == SUBTRACT ? after + frames == before
+        check(mode == STORE ? after == frames : mode == SUBTRACT ? after + frames == before
                            : after == before + frames, "sum of counts");
-        must(!count.pending && !count.clipped, "no counter is full");
+        check(!count.pending && !count.clipped, "no counter is full");
     }
     free(count.out);
     free(count.done);
@@ -120,15 +120,15 @@ int LLVMFuzzerTestOneInput(const uint8_t *input, size_t size)
     while (!scan.ended) {
         scan.others_count = 0;
         size_t next = scan_packets(&scan, at, options & FINAL);
-        must(next >= at && next <= scan.size, "position");
-        must(scan.ended || next > at || scan.frames, "progress");
+        check(next >= at && next <= scan.size, "position");
+        check(scan.ended || next > at || scan.frames, "progress");
         at = next;
         if (scan.frames)
             count_frames(&scan, options);
         scan.frames = 0;
         scan.run = 0;
     }
-    must(!(options & FINAL) || at == scan.size, "end");
+    check(!(options & FINAL) || at == scan.size, "end");
     free(scan.chunks);
     free(scan.headers);
     free(scan.places);

@@ -2,10 +2,10 @@
 
     python3 tools/dev.py run python tools/fuzz/kernels.py --seconds 60
 
-Needs clang. A run starts from whole packets and tools/fuzz/corpus.zip; with ``--inputs`` it goes on
-from a folder of inputs, and leaves there what it finds. ``--minimize`` then keeps those in
-corpus.zip that between them reach everything that any input reaches. A finding ends the run with
-its input and a trace.
+This needs clang. A run starts from intact packets and tools/fuzz/corpus.zip; with ``--inputs`` it
+also starts from the inputs in a folder, to which it adds new ones. ``--minimize`` then stores in
+corpus.zip the smallest set of inputs with the coverage of all. A failure ends the run with the
+input that caused it and a stack trace.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SOURCE = Path(__file__).with_suffix(".c")
 HEADERS = ROOT / "host" / "hueflight" / "ingest" / "_c"
 CORPUS = SOURCE.with_name("corpus.zip")
 BUILD = ROOT / "build" / "fuzz"
-LONGEST = 4096  # bytes of an input
+LONGEST = 4096  # largest size of an input in bytes
 # as in kernels.c
 GEOMETRIES = [(1, 1, 1), (3, 5, 9), (8, 8, 9), (1, 2, 13), (10, 13, 8), (5, 64, 7), (32, 32, 4)]
 GEOMETRIES += [(256, 8, 2)]
@@ -34,13 +34,13 @@ OPTIONS = (1, 2 | 4, 8, 1 | 2 | 4 | 8)
 
 
 def build() -> Path:
-    """Compile the fuzzer."""
+    """Compile the fuzz target and return the program."""
     if shutil.which("clang") is None:
-        raise SystemExit("libFuzzer comes with clang, which is not here: install clang")
+        raise SystemExit("clang, which contains libFuzzer, was not found: install clang")
     BUILD.mkdir(parents=True, exist_ok=True)
     program = BUILD / "fuzz-kernels"
     sanitizers = ["-fsanitize=fuzzer,address,undefined", "-fno-sanitize-recover=all"]
-    unsafe = "-DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION"  # lets every CRC pass
+    unsafe = "-DFUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION"  # accepts every CRC
     command = [
         "clang",
         "-gline-tables-only",
@@ -55,7 +55,7 @@ def build() -> Path:
 
 
 def write_seeds(folder: Path) -> None:
-    """Streams of whole packets, from which the fuzzer starts."""
+    """Write streams of intact packets, from which the fuzzer starts."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
     number = 0
@@ -87,7 +87,7 @@ def write_seeds(folder: Path) -> None:
 
 
 def fuzz(program: Path, found: Path, seconds: int, minimize: bool) -> None:
-    """Look for more inputs for so many seconds; then keep what matters in the corpus."""
+    """Fuzz for a number of seconds, then store the smallest sufficient corpus if asked to."""
     write_seeds(found)
     if CORPUS.exists():
         with ZipFile(CORPUS) as kept:
@@ -108,14 +108,20 @@ def fuzz(program: Path, found: Path, seconds: int, minimize: bool) -> None:
         with ZipFile(CORPUS, "w", ZIP_DEFLATED) as kept:
             for file in files:
                 kept.writestr(ZipInfo(file.name), file.read_bytes(), ZIP_DEFLATED)
-        print(f"{len(files)} inputs kept in {CORPUS}, {CORPUS.stat().st_size} bytes")
+        print(f"{len(files)} inputs stored in {CORPUS}, {CORPUS.stat().st_size} bytes")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=int, default=60, help="how long to look for more")
-    parser.add_argument("--inputs", type=Path, help="folder that inputs are taken from and put to")
-    parser.add_argument("--minimize", action="store_true", help="keep what matters in the corpus")
+    parser.add_argument(
+        "--seconds", type=int, default=60, help="duration of the run in seconds; 0 only minimizes"
+    )
+    parser.add_argument("--inputs", type=Path, help="folder of inputs to start from and to add to")
+    parser.add_argument(
+        "--minimize",
+        action="store_true",
+        help="store the smallest sufficient set of inputs in corpus.zip",
+    )
     arguments = parser.parse_args()
     program = build()
     if arguments.inputs is None:

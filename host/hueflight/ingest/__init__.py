@@ -1,4 +1,4 @@
-"""Ingest: packets from the camera to histograms, at the rate of the sensor chip.
+"""Ingest: count the packets of the camera into histograms, at the full rate of the sensor.
 
 >>> import hueflight as hf
 >>> from hueflight import simulator
@@ -8,7 +8,7 @@
 >>> counts.shape, report.frames, report.missing
 ((192, 128, 512), 20, 0)
 
-Live, in blocks of frames, whatever pieces the bytes come in:
+Live, in blocks of frames, however the bytes are split into pieces:
 
 >>> stream = HistogramStream(paper, block_frames=8)
 >>> blocks = stream.feed(packets[:100_000]) + stream.feed(packets[100_000:]) + stream.finish()

@@ -9,8 +9,8 @@ from hueflight.errors import HistogramError, IngestError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulator import (
     Counts,
+    HistogramAccumulator,
     Overflow,
-    Table,
     check_out,
     check_overflow,
     full_error,
@@ -34,44 +34,49 @@ def accumulate(
     """Count the codes of all frames in a stream of packets.
 
     For a scanned sensor (``sensor.scan_steps`` above 1) the step marker of a frame, modulo the
-    number of positions, is its position p: it counts into rows ``p * sensor.rows`` onwards.
+    number of positions, is its position p: its codes are counted into the rows from
+    ``p * sensor.rows`` on.
 
     Parameters
     ----------
     packets : bytes-like
-        Whole packets; damage between and in them is skipped and reported.
+        Complete packets; damage in and between them is skipped and reported.
     instrument : Instrument
-        States geometry and code width.
-    out : uint16 or uint32 array (row, col, code), optional
-        Counts to add to. By default new ones: 16 bits, or 32 where 16 might not do.
+        Instrument that states geometry and code width.
+    out : numpy.ndarray, uint16 or uint32, shape (row, col, code), optional
+        Counts to add to. By default new ones of 16 bits, which widen to 32 bits where needed.
     threads : int
-        Threads over pixels.
+        Number of threads, which share the pixels.
     overflow : {"error", "saturate", "widen"}
-        What to do when a counter of `out` is full. Widening gives another array back.
+        Policy for a counter of `out` that is full. Under ``"widen"`` the returned array may be
+        another one than `out`.
+    kernels : Kernels, optional
+        Backend; by default the fastest one (see `kernels.choose`).
 
     Returns
     -------
-    counts : uint16 or uint32 array (row, col, code)
-        Code 0 holds what no other code of a pixel got: exposures without a photon, and codes
-        that the camera left out.
+    counts : numpy.ndarray, uint16 or uint32, shape (row, col, code)
+        Code 0 counts the frames that have no other code for a pixel: exposures without a photon,
+        and codes that the camera left out.
     report : IngestReport
-        What came, what did not.
+        Totals of what was received and of what was lost.
 
     Raises
     ------
     IngestError
-        If frames are of another geometry than the instrument's.
+        If frames have another geometry than the instrument.
     HistogramError
         If `out` does not fit the instrument.
     OverflowPolicyError
-        Under the policy ``"error"``; batches of frames counted before stay in `out`.
+        If a counter is full under the policy ``"error"``. The batches of frames counted before
+        remain in `out`.
     """
     check_overflow(overflow)
     if out is not None:
         check_out(out, instrument.histogram_shape)
     chosen_kernels = kernels or backends.choose()
     scanner = Scanner(instrument.sensor, chosen_kernels)
-    table = Table(
+    accumulator = HistogramAccumulator(
         *instrument.image_shape,
         instrument.sensor.code_bits,
         kernels=chosen_kernels,
@@ -82,11 +87,11 @@ def accumulate(
     for data in batches(scanner, packets):
         scanner.refuse_foreign()
         for _, position, chosen in frames_by_step(scanner):
-            table.add(data, scanner, chosen, first_row=position * instrument.sensor.rows)
+            accumulator.add(data, scanner, chosen, first_row=position * instrument.sensor.rows)
     scanner.refuse_foreign()
-    counts = table.finish()
+    counts = accumulator.finish()
     return counts, IngestReport.from_state(
-        scanner.state, photons=table.photons, clipped=table.clipped
+        scanner.state, photons=accumulator.photons, clipped=accumulator.clipped
     )
 
 
@@ -98,35 +103,42 @@ def accumulate_by_step(
     threads: int = 1,
     kernels: Kernels | None = None,
 ) -> tuple[dict[int, Counts], IngestReport]:
-    """Count the codes of all frames, one histogram for each step of the illuminator.
+    """Count the codes of all frames, with one histogram for each step of the illuminator.
 
-    Made for captures with one LED at a time, whose frames the illuminator marks. For a scanned
-    sensor a step is one scan: the step marker divided by the number of positions.
+    This is meant for captures with one LED at a time, whose frames carry a step marker. For a
+    scanned sensor a step is one scan: the step marker divided by the number of positions.
 
     Parameters
     ----------
-    packets, instrument, threads
-        As in `accumulate`.
+    packets : bytes-like
+        Complete packets; damage in and between them is skipped and reported.
+    instrument : Instrument
+        Instrument that states geometry and code width.
+    threads : int
+        Number of threads, which share the pixels.
+    kernels : Kernels, optional
+        Backend; by default the fastest one (see `kernels.choose`).
 
     Returns
     -------
-    counts : dict of arrays (row, col, code), by step in rising order
-        Each uint16, or uint32 where 16 bits did not do.
+    counts : dict of int to numpy.ndarray
+        Histogram (row, col, code) of each step, in ascending order of the steps; uint16, or uint32
+        where 16 bits are too few.
     report : IngestReport
-        What came, what did not.
+        Totals of what was received and of what was lost.
 
     Raises
     ------
     IngestError
-        If frames are of another geometry than the instrument's.
+        If frames have another geometry than the instrument.
     """
     scanner = Scanner(instrument.sensor, kernels or backends.choose())
-    tables: dict[int, Table] = {}
+    accumulators: dict[int, HistogramAccumulator] = {}
     for data in batches(scanner, packets):
         scanner.refuse_foreign()
         for step, position, chosen in frames_by_step(scanner):
-            if step not in tables:
-                tables[step] = Table(
+            if step not in accumulators:
+                accumulators[step] = HistogramAccumulator(
                     *instrument.image_shape,
                     instrument.sensor.code_bits,
                     kernels=scanner.kernels,
@@ -134,11 +146,11 @@ def accumulate_by_step(
                     threads=checked_threads(threads),
                 )
             first_row = position * instrument.sensor.rows
-            tables[step].add(data, scanner, chosen, first_row=first_row)
+            accumulators[step].add(data, scanner, chosen, first_row=first_row)
     scanner.refuse_foreign()
-    photons = sum(table.photons for table in tables.values())
+    photons = sum(accumulator.photons for accumulator in accumulators.values())
     report = IngestReport.from_state(scanner.state, photons=photons)
-    return {step: tables[step].finish() for step in sorted(tables)}, report
+    return {step: accumulators[step].finish() for step in sorted(accumulators)}, report
 
 
 def accumulate_codes(
@@ -153,23 +165,26 @@ def accumulate_codes(
 
     Parameters
     ----------
-    codes : integer array (frame, row, col) or (row, col)
-        Of the image's shape; 0 = no photon where the sensor reports that.
+    codes : array_like of int, shape (frame, row, col) or (row, col)
+        Codes of each frame; 0 = no photon where the sensor reports that.
     instrument : Instrument
-        States geometry and code width.
-    out, overflow
-        As in `accumulate`; the counts are untouched if an error is raised.
+        Instrument that states geometry and code width.
+    out : numpy.ndarray, uint16 or uint32, shape (row, col, code), optional
+        Counts to add to, which are left unchanged if an error is raised. By default new ones.
+    overflow : {"error", "saturate", "widen"}
+        Policy for a counter of `out` that is full, as in `accumulate`.
 
     Returns
     -------
-    uint16 or uint32 array (row, col, code)
+    numpy.ndarray, uint16 or uint32, shape (row, col, code)
+        The counts.
 
     Raises
     ------
     HistogramError
         If `codes` or `out` do not fit the instrument.
     OverflowPolicyError
-        Under the policy ``"error"``.
+        If a counter is full under the policy ``"error"``.
     """
     check_overflow(overflow)
     values = np.asarray(codes)
@@ -197,7 +212,7 @@ def _add_codes(values: NDArray[np.integer], out: Counts, overflow: Overflow) -> 
     limit = int(np.iinfo(out.dtype).max)
     codes = out.shape[-1]
     if overflow != "saturate" and out.size and int(out.max()) + len(values) > limit:
-        # by rows, so that memory stays small; nothing is added before all is known to fit
+        # by rows, to save memory; nothing is added before all rows are known to fit
         full = any(
             (out[row] > limit - _row_counts(values[:, row], codes)).any() for row in range(len(out))
         )
@@ -214,21 +229,21 @@ def _add_codes(values: NDArray[np.integer], out: Counts, overflow: Overflow) -> 
 
 
 def _row_counts(values: NDArray[np.integer], codes: int) -> NDArray[np.intp]:
-    """Counts (col, code) of the codes (frame, col) of one row."""
+    """Count the codes (frame, col) of one row, as (col, code)."""
     cols = values.shape[1]
     index = values.astype(np.intp) + np.arange(cols) * codes
     return np.bincount(index.reshape(-1), minlength=cols * codes).reshape(cols, codes)
 
 
 def checked_threads(threads: int, /) -> int:
-    """`threads`, if that many make sense."""
+    """Return `threads` if it is a valid number of threads."""
     if threads < 1:
         raise IngestError(f"threads = {threads}: must be at least 1")
     return threads
 
 
 def frames_by_step(scanner: Scanner, /) -> list[tuple[int, int, NDArray[np.uint32]]]:
-    """Steps and scan positions among the frames at hand, and which frames have each."""
+    """Return the steps and scan positions of the scanned frames, and the frames that have each."""
     if not scanner.frames:
         return []
     markers = scanner.header_fields()["step"]

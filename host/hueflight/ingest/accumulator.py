@@ -1,4 +1,4 @@
-"""A table of counts that frames are added to, and what happens when a counter is full."""
+"""Counts that frames are added to, and the policies for a counter that is full."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Counts = NDArray[np.unsignedinteger[Any]]
 
 
 def check_overflow(policy: str, /) -> None:
-    """Refuse a policy that does not exist."""
+    """Raise an error if there is no such overflow policy."""
     if policy not in get_args(Overflow):
         raise OverflowPolicyError(
             f"overflow = {policy!r}: must be one of {', '.join(get_args(Overflow))}"
@@ -34,7 +34,7 @@ def check_overflow(policy: str, /) -> None:
 
 
 def check_out(out: Counts, shape: tuple[int, ...], /) -> None:
-    """Refuse an array that the kernels can't count into."""
+    """Raise an error if the kernels can't count into this array."""
     if not isinstance(out, np.ndarray) or out.shape != shape:
         raise HistogramError(f"out has shape {np.shape(out)}: must be {shape}, (row, col, code)")
     if out.dtype not in (np.uint16, np.uint32):
@@ -44,7 +44,7 @@ def check_out(out: Counts, shape: tuple[int, ...], /) -> None:
 
 
 def full_error(dtype: np.dtype[Any], frames: int, /) -> OverflowPolicyError:
-    """The error of a counter that would not hold the sum."""
+    """Return the error for a counter that would overflow."""
     way_out = "use overflow='widen' or 'saturate', or 32-bit counts"
     if dtype == np.uint32:
         way_out = "start a new histogram"
@@ -54,27 +54,33 @@ def full_error(dtype: np.dtype[Any], frames: int, /) -> OverflowPolicyError:
     )
 
 
-class Table:
-    """Counts (row, col, code) of one sensor.
+class HistogramAccumulator:
+    """Histogram (row, col, code) of one sensor, to which scanned frames are added.
 
     Parameters
     ----------
     rows, cols, code_bits : int
-        Geometry; for a scanned sensor, of the whole image.
-    overflow : Overflow
-        What to do when a counter is full: raise ``"error"`` with the counts as they were;
-        ``"saturate"`` and count what was clipped; ``"widen"`` to 32 bits, which is exact.
-    out : array (rows, cols, 2**code_bits), optional
-        Counts to add to, uint16 or uint32; by default new ones of 16 bits.
-    reuse : uint16 array, optional
-        Memory for new counts; what is in it does not matter.
+        Geometry and code width; for a scanned sensor, those of the whole image.
+    kernels : Kernels
+        Backend that counts.
+    overflow : {"error", "saturate", "widen"}
+        Policy for a counter that is full: raise an error and leave the counts unchanged; keep the
+        largest count and record how many were clipped; or continue with 32 bits, which is exact.
+    out : numpy.ndarray, uint16 or uint32, shape (rows, cols, 2**code_bits), optional
+        Counts to add to; by default new ones of 16 bits.
+    reuse : numpy.ndarray, uint16, shape (rows, cols, 2**code_bits), optional
+        Memory for new counts, whose content is overwritten.
     threads : int
-        Threads over pixels.
+        Number of threads, which share the pixels.
 
     Attributes
     ----------
-    counts : the array; another one after widening.
-    photons, clipped : totals.
+    counts : numpy.ndarray, uint16 or uint32, shape (rows, cols, 2**code_bits)
+        The counts; after widening this is another array.
+    photons : int
+        Number of photons counted.
+    clipped : int
+        Number of counts lost under the policy ``"saturate"``.
     """
 
     def __init__(
@@ -92,7 +98,7 @@ class Table:
         shape = (rows, cols, 1 << code_bits)
         self._kernels, self._overflow, self._threads = kernels, overflow, threads
         self._cols, self._code_bits = cols, code_bits
-        # a new table is only written to: zeros would be set twice
+        # the first frames overwrite new counts, so that zeroing them first would be a waste
         self._unwritten = [] if out is not None else [(0, rows)]
         if out is None:
             out = np.empty(shape, np.uint16) if reuse is None else reuse
@@ -103,13 +109,24 @@ class Table:
     def add(
         self, data: Buffer, frames: Scanner, chosen: NDArray[np.uint32], *, first_row: int = 0
     ) -> None:
-        """Add the `chosen` frames at hand in a scanner to the rows from `first_row` on.
+        """Add frames of a scanner to the counts.
+
+        Parameters
+        ----------
+        data : bytes-like
+            Bytes that the tables of the scanner refer to.
+        frames : Scanner
+            Scanner that holds the frames.
+        chosen : numpy.ndarray, uint32, shape (frame,)
+            Indices of the frames to add.
+        first_row : int
+            Row of the image that the first row of the sensor is added to.
 
         Raises
         ------
         OverflowPolicyError
-            Under the policy ``"error"``, if a counter would not hold the sum. The counts are
-            then what they were before.
+            If a counter would overflow under the policy ``"error"``. The counts are then
+            unchanged.
         """
         rows = frames.sensor.rows
         fresh = self._unwritten == [(0, self.counts.shape[0])] and rows == self.counts.shape[0]
@@ -148,7 +165,7 @@ class Table:
         mode: int,
         done: NDArray[np.uint8],
     ) -> int:
-        """Let the kernel loose on all chunks; return the tiles that it left alone."""
+        """Run the kernel on all chunks; return the number of tiles that it left out."""
         out = self.counts[rows]
         pixels = out.shape[0] * self._cols
 
@@ -183,6 +200,6 @@ class Table:
         return left
 
     def finish(self) -> Counts:
-        """The counts, zeros included where no frame came."""
+        """Return the counts, with zeros where no frame was added."""
         self._zero()
         return self.counts

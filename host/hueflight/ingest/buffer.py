@@ -1,4 +1,4 @@
-"""Bytes in, frames out: a bounded buffer between a live stream and the kernels."""
+"""A bounded buffer between a live stream of bytes and the kernels."""
 
 from __future__ import annotations
 
@@ -12,32 +12,35 @@ from hueflight.model.instrument import Sensor
 from hueflight_protocol.wire import MAX_PACKET_BYTES
 
 BUFFER_BYTES = 32 << 20
-"""Holds a video frame's worth (620) of the paper's sensor at full occupancy, 17 MB, and more."""
+"""Enough for 620 frames (1/30 s) of the paper's sensor at full occupancy, which are 17 MB."""
 LEAST_BYTES = 2 * MAX_PACKET_BYTES  # one packet, and room to receive the next
 
 
 class PacketBuffer:
-    """Takes bytes in pieces of any size, and finds the frames in them.
+    """Receives bytes in pieces of any size and finds the frames in them.
 
-    The frames stay where they came; whoever counts or stores them does so while they are at
-    hand, and then lets go of them with `release`. Memory is the buffer and the scanner's tables,
-    however long the stream.
+    Frames are not copied: they are counted or stored from the buffer, and then given up with
+    `release`. Memory use is that of the buffer and of the tables of the scanner, and does not
+    depend on the length of the stream.
 
     Parameters
     ----------
     sensor : Sensor
-        Frames of other geometry or code width are counted as foreign.
+        Sensor whose frames are wanted; frames of another geometry or code width are counted as
+        foreign.
     kernels : Kernels
-        Compiled or NumPy.
+        Backend that scans.
     capacity : int
-        Bytes of the buffer.
+        Size of the buffer in bytes.
     limit : int
-        Most frames at hand.
+        Largest number of frames that are held at a time.
 
     Attributes
     ----------
-    scanner : tables and totals.
-    others : packets that are not frames, as received, until somebody takes them away.
+    scanner : Scanner
+        Tables of the frames in the buffer, and totals.
+    others : list of bytes
+        Packets received so far that are not frames.
     """
 
     def __init__(
@@ -55,51 +58,51 @@ class PacketBuffer:
             )
         self.scanner = Scanner(sensor, kernels, limit)
         self.others: list[bytes] = []
-        self._octets = mmap.mmap(-1, capacity)  # takes memory only where bytes have been
+        self._octets = mmap.mmap(-1, capacity)  # memory is allocated only where bytes are written
         self._view = memoryview(self._octets)
         self._filled = 0
         self._scanned = 0
-        self._needed = 0  # bytes without which scanning would not get on
+        self._needed = 0  # bytes needed to make progress
 
     @property
     def data(self) -> memoryview:
-        """The bytes that the scanner's tables refer to."""
+        """The bytes that the tables of the scanner refer to."""
         return self._view[: self._filled]
 
     @property
     def complete(self) -> memoryview:
-        """The bytes at hand up to where a packet is still incomplete."""
+        """The received bytes, without the packet at their end that is still incomplete."""
         return self._view[: self._scanned]
 
     @property
     def pending(self) -> int:
-        """Bytes that wait for the rest of their packet."""
+        """Number of bytes of the packet that is still incomplete."""
         return self._filled - self._scanned
 
     @property
     def room(self) -> int:
-        """Bytes that can be received before frames must be let go of."""
+        """Number of bytes that can be received before frames must be released."""
         return len(self._view) - self._filled
 
     @property
     def tight(self) -> bool:
-        """Whether the longest packet might not fit any more behind what is at hand."""
+        """Whether the remaining room may be too small for the longest packet."""
         return self._scanned + LEAST_BYTES > len(self._view)
 
     def writable(self) -> memoryview:
-        """Where the next bytes go: `recv_into` or `readinto` this, then `commit`."""
+        """Return the memory for the next bytes: `recv_into` or `readinto` it, then `commit`."""
         return self._view[self._filled :]
 
     def commit(self, size: int, /) -> None:
-        """Say that `size` more bytes have been received."""
+        """Record that `size` more bytes have been received."""
         if not 0 <= size <= self.room:
             raise IngestError(f"{size} bytes: must be from 0 to {self.room}, the room there was")
         self._filled += size
 
     def scan(self, *, limit: int, final: bool = False) -> bool:
-        """Look for frames until there are `limit`; return whether more bytes are needed to go on.
+        """Scan until there are `limit` frames; return whether more bytes are needed to continue.
 
-        If they are not, there are `limit` frames, or the tables are full and `release` must come
+        If not, there are `limit` frames, or the tables are full and `release` must be called
         first.
         """
         scanner = self.scanner
@@ -110,11 +113,13 @@ class PacketBuffer:
             self._scanned, self._needed = found.position, found.needed
             for offset, size in scanner.others[: found.others].tolist():
                 self.others.append(bytes(self._view[offset : offset + size]))
-            if found.others < len(scanner.others):  # else it stopped to have them taken away
+            if found.others < len(
+                scanner.others
+            ):  # otherwise scanning stopped because `others` was full
                 return found.ended
 
     def release(self) -> None:
-        """Let go of the frames at hand, and move what is left of the bytes to the front."""
+        """Give up the frames in the buffer and move the remaining bytes to the front."""
         left = self._filled - self._scanned
         self._octets.move(0, self._scanned, left)
         self._filled, self._scanned = left, 0
@@ -122,7 +127,7 @@ class PacketBuffer:
 
 
 def pieces(buffer: PacketBuffer, data: bytes | bytearray | memoryview, /) -> Iterator[int]:
-    """Copy `data` into a buffer, a piece at a time; the caller makes room between them."""
+    """Copy `data` into a buffer piece by piece; the caller makes room between the pieces."""
     view = memoryview(data).cast("B") if len(data) else memoryview(b"")
     while view:
         part = view[: buffer.room]

@@ -1,4 +1,4 @@
-"""The interface of the two hot kernels, compiled or NumPy, which give the same bits.
+"""The interface to the two kernels, compiled or in NumPy, whose results are bit-identical.
 
 Both implementations are modules with the functions `scan` and `count`; `hueflight.backend` decides
 which of them is used.
@@ -31,16 +31,25 @@ Buffer = bytes | bytearray | memoryview
 
 
 class Scanned(NamedTuple):
-    """What one call of `scan` found.
+    """Result of one call of `scan`.
 
     Attributes
     ----------
-    position : where scanning stopped.
-    frames : frames in the tables, those of earlier calls included.
-    others : packets that are not frames, found by this call.
-    run, stride : run length of the frames, and frames per chunk in the table of chunks.
-    needed : bytes from `position` without which there is nothing more to do.
-    ended : stopped for want of bytes; otherwise the tables are full or the run length changed.
+    position : int
+        Offset at which scanning stopped.
+    frames : int
+        Number of frames in the tables, including those of earlier calls.
+    others : int
+        Number of packets found by this call that are not frames.
+    run : int
+        Run length of the frames, in pixels.
+    stride : int
+        Number of frames per chunk in the table of chunks.
+    needed : int
+        Bytes needed from `position` on to make progress.
+    ended : bool
+        Whether scanning stopped because the data ended. Otherwise a table is full or the run
+        length has changed.
     """
 
     position: int
@@ -53,7 +62,7 @@ class Scanned(NamedTuple):
 
 
 class Kernels(Protocol):
-    """Two functions over buffers; see `numpy_kernels` for what they do."""
+    """Two functions over buffers; `numpy_scan.scan` and `numpy_count.count` document them."""
 
     def scan(
         self,
@@ -93,7 +102,7 @@ class Kernels(Protocol):
         end: int,
         /,
     ) -> tuple[int, int, int]:
-        """Count the codes of scanned frames; return photons, clipped counts, tiles left."""
+        """Count the codes of scanned frames; return photons, clipped counts, tiles left out."""
         ...
 
 

@@ -1,7 +1,7 @@
-"""Counting in NumPy: the twin of ``_count.h``.
+"""Counting in NumPy: reference implementation of ``_c/count.h``, and fallback without a compiler.
 
-A chunk's payloads of all frames are gathered and counted together, so that the work per NumPy
-call is large and the counters of the chunk's pixels stay in the cache.
+The payloads that all frames have for a chunk are counted together, so that each NumPy call does
+much work and the counters of the chunk's pixels stay in the cache.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from hueflight.ingest.numpy_frame_scan import HITS_SHIFT, KIND_SHIFT, bitmap_byt
 from hueflight.ingest.numpy_scan import MOST_FRAMES
 from hueflight_protocol.wire import ChunkKind, dense_bytes
 
-TILE = 64  # pixels that are added to the table together or not at all
-SLACK = 8  # bytes that may be read behind a payload: its packet's trailer is longer
+TILE = 64  # pixels of a tile, which is added to the table as a whole or not at all
+SLACK = 8  # bytes that may be read past a payload: the trailer of its packet is longer
 AT_ONCE = 1 << 18  # pixels whose bitmaps are unpacked at once: a few MB, and few calls
 ADD, STORE, SATURATE, SUBTRACT = range(4)
 
@@ -39,27 +39,38 @@ def count(
     end: int,
     /,
 ) -> tuple[int, int, int]:
-    """Add the codes of frames to histograms; return photons, clipped counts, tiles left out.
+    """Add the codes of frames to histograms.
 
     Parameters
     ----------
     data : bytes-like
-        What was scanned.
-    chunks, stride : uint64 array seen as (chunk, stride)
-        Where the chunks of each frame lie.
-    chosen : uint32 array (frame,)
-        Which frames to count, at most `MOST_FRAMES`.
+        The piece of the stream that was scanned.
+    chunks : numpy.ndarray, uint64
+        Entries that `scan` wrote, as an array (chunk, stride).
+    stride : int
+        Number of frames per chunk in `chunks`.
+    chosen : numpy.ndarray, uint32, shape (frame,)
+        Indices of the frames to count, at most `MOST_FRAMES`.
     pixels, code_bits, run : int
         Geometry of the frames.
-    out : uint16 or (if `wide`) uint32 array of ``pixels << code_bits`` elements, changed
-        Counts (pixel, code). Code 0 gets what no other code of a pixel got.
+    out : numpy.ndarray, uint16 or (if `wide`) uint32, of ``pixels << code_bits`` elements
+        Counts (pixel, code), updated in place. Code 0 receives every frame that has no other code
+        for a pixel.
+    wide : bool
+        Whether `out` has 32 bits.
     mode : int
-        ADD to `out`, but leave alone the tiles of which a counter would not hold the sum; STORE
-        over it; SATURATE: add up to the largest count; SUBTRACT.
-    done : uint8 array, a tile each, changed
-        Tiles that have been added. Only others are added; only these are subtracted.
+        ADD to `out`, but leave out the tiles in which a counter would overflow; STORE replaces the
+        content of `out`; SATURATE adds up to the largest count; SUBTRACT undoes ADD.
+    done : numpy.ndarray, uint8, an element for each tile
+        Marks of the tiles that have been added, updated in place. Only unmarked tiles are added,
+        only marked ones are subtracted.
     begin, end : int
-        Which chunks of the sensor to work on.
+        Range of chunks of the sensor to work on.
+
+    Returns
+    -------
+    tuple of int
+        Photons, clipped counts, and the number of tiles that were left out.
     """
     octets = np.frombuffer(data, np.uint8)
     if chosen.size > MOST_FRAMES:
@@ -94,7 +105,7 @@ def count(
 def _put(
     rows: NDArray[np.unsignedinteger[Any]], seen: NDArray[np.uint16], mode: int
 ) -> tuple[int, bool]:
-    """Add to rows of the table; return clipped counts and whether a counter was too small."""
+    """Add to rows of the table; return the clipped counts and whether a counter would overflow."""
     if mode == STORE:
         rows[...] = seen
     elif mode == SUBTRACT:
@@ -118,7 +129,7 @@ def _count_chunk(
     code_bits: int,
     space: NDArray[np.uint64],
 ) -> NDArray[np.uint16]:
-    """Counts (pixel, code) of one chunk over all frames; of code 0, those that were sent."""
+    """Count one chunk over all frames, as (pixel, code); of code 0, only those that were sent."""
     offset = (entries & np.uint64(0xFFFF_FFFF)).astype(np.intp)
     hits = (entries >> np.uint64(HITS_SHIFT) & np.uint64(0xFFFF)).astype(np.intp)
     kind = (entries >> np.uint64(KIND_SHIFT)).astype(np.intp)
@@ -142,7 +153,7 @@ def _count_chunk(
 
 
 def _words(octets: NDArray[np.uint8], size: int) -> NDArray[np.unsignedinteger[Any]]:
-    """The little-endian words of `size` bytes that begin at each byte."""
+    """Return a view of the little-endian words of `size` bytes that begin at each byte."""
     return np.ndarray(octets.size - size + 1, f"<u{size}", octets, strides=(1,))
 
 
@@ -153,9 +164,10 @@ def _count_dense(
     seen: NDArray[np.uint16],
     space: NDArray[np.uint64],
 ) -> None:
-    """Add dense payloads, of which eight codes are `code_bits` bytes.
+    """Add dense payloads, in which eight codes take `code_bits` bytes.
 
-    A code that is not whole in the word at their start is whole in the word at their end.
+    A code that is not complete in the 64-bit word at their start is complete in the one at their
+    end.
     """
     pixels, codes = seen.shape
     groups, mask = pixels // 8, np.uint64(codes - 1)
@@ -179,7 +191,7 @@ def _count_dense(
 
 
 def _load(octets: NDArray[np.uint8], offset: _Ints, step: int, words: NDArray[np.uint64]) -> None:
-    """Fill `words` (frame, group) with those `step` bytes apart from each offset on."""
+    """Fill `words` (frame, group) with words at every `step` bytes from each offset on."""
     apart = np.diff(offset)
     if apart.size and (apart == apart[0]).all() and apart[0] > 0:  # frames of the same length
         strides = (int(apart[0]), step)
@@ -213,23 +225,23 @@ def _locate(
     pixels: int,
     code_bits: int,
 ) -> _Ints:
-    """Which counters (pixel × code) the hits of some frames belong to.
+    """Return the indices of the counters (pixel × code) that the hits of some frames belong to.
 
-    Eight codes are `code_bits` bytes, as in dense payloads. So that a frame's hits are a multiple
-    of eight, its bitmap gets one byte more, with a one for each that is missing.
+    Eight codes take `code_bits` bytes, as in dense payloads. To pad the hits of a frame to a
+    multiple of eight, its bitmap is extended by one byte with a one for each missing hit.
     """
     groups = -(-hits // 8)
     most = int(groups.max())
-    size = map_bytes + most * code_bits + 8  # of the longest payload, and some bytes behind it
+    size = map_bytes + most * code_bits + 8  # of the longest payload, and some bytes after it
     if int(offset.max()) + size > octets.size:
-        return _locate_slowly(octets, offset, hits, map_bytes, pixels, code_bits)
+        return _locate_each(octets, offset, hits, map_bytes, pixels, code_bits)
     rows = np.ndarray(octets.size - size + 1, f"V{size}", octets, strides=(1,))[offset]
     payloads = rows.view(np.uint8).reshape(-1, size)
     maps = payloads[:, : map_bytes + 1].copy()
     maps[:, map_bytes - 1] &= 0xFF >> -pixels % 8
     maps[:, map_bytes] = 0xFF >> 8 - -hits % 8
     if (np.bitwise_count(maps).sum(axis=1, dtype=np.intp) != 8 * groups).any():
-        return _locate_slowly(octets, offset, hits, map_bytes, pixels, code_bits)
+        return _locate_each(octets, offset, hits, map_bytes, pixels, code_bits)
 
     there = np.arange(most) < groups[:, None]
     behind = max(code_bits - 8, 0)
@@ -253,7 +265,7 @@ def _locate(
     return index.reshape(-1).view(np.intp)
 
 
-def _locate_slowly(
+def _locate_each(
     octets: NDArray[np.uint8],
     offset: _Ints,
     hits: _Ints,
@@ -261,11 +273,11 @@ def _locate_slowly(
     pixels: int,
     code_bits: int,
 ) -> _Ints:
-    """As `_locate`, of frames whose bitmaps contradict their hits or that end with the data."""
+    """Do the same as `_locate` for frames with contradictory bitmaps or at the end of the data."""
     maps = octets[offset[:, None] + np.arange(map_bytes)]
     bits = np.unpackbits(maps, axis=1, bitorder="little", count=pixels)
     ones = bits.sum(axis=1, dtype=np.intp)
-    if (ones > hits).any():  # no more hits than the chunk's word says, whatever the bitmap says
+    if (ones > hits).any():  # no more hits than the chunk word announces, whatever the bitmap holds
         bits[np.cumsum(bits, axis=1, dtype=np.intp) > hits[:, None]] = 0
         ones = np.minimum(ones, hits)
     pixel = np.flatnonzero(bits.view(np.bool_))

@@ -1,8 +1,9 @@
-"""Many frames at once: the fast way of `numpy_scan.scan` through a stretch without damage.
+"""Scanning of many frames at once, which `numpy_scan.scan` uses where there is no damage.
 
-The chunks of a frame have to be walked one after the other, but frames can be walked side by side,
-since their headers are easy to find. What is at all unusual is left to the slow way, which knows
-all rules: a frame is taken only if every rule holds and the next one begins where it ends.
+The chunks of one frame have to be visited one after the other, but many frames can be processed
+together, since their headers are easy to find. Everything unusual is left to `numpy_scan.scan`,
+which knows all rules: a frame is accepted only if it obeys every rule and the next one begins where
+it ends.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from hueflight_protocol import wire
 from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER
 
 HITS_SHIFT, KIND_SHIFT = 32, 48  # an entry of the table of chunks: offset, hits, kind
-TOGETHER = 512  # frames walked at a time, while their bytes may still be in a cache
+BATCH = 512  # frames scanned together, few enough that their bytes may still be in a cache
 _START = int.from_bytes(wire.MAGIC, "little") | (
     wire.VERSION << 32 | int(wire.PacketType.FRAME) << 40 | FRAME_HEADER.size << 48
 )  # the first eight bytes of a frame
@@ -29,14 +30,19 @@ _Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Walked:
-    """Whole frames that follow one another.
+class ScannedFrames:
+    """Complete frames that follow one another.
 
     Attributes
     ----------
-    sizes, hits : bytes and hits of each, (frame,).
-    headers : uint8 array (frame, 64).
-    entries : uint64 array (chunk, frame), as in the table of chunks.
+    sizes : numpy.ndarray, int64, shape (frame,)
+        Size of each frame in bytes.
+    hits : numpy.ndarray, int64, shape (frame,)
+        Number of hits in each frame.
+    headers : numpy.ndarray, uint8, shape (frame, 64)
+        Headers of the frames.
+    entries : numpy.ndarray, uint64, shape (chunk, frame)
+        Entries for the table of chunks.
     """
 
     sizes: _Ints
@@ -46,20 +52,20 @@ class Walked:
 
 
 def bitmap_bytes(pixels: int, hits: _Ints, code_bits: int, /) -> _Ints:
-    """Payload bytes of bitmap chunks of `pixels` pixels, padding included (rule F10)."""
+    """Return the payload bytes of bitmap chunks of `pixels` pixels, with padding (rule F10)."""
     return -(-(-(-pixels // 8) - (-hits * code_bits // 8)) // 4) * 4
 
 
 @lru_cache(maxsize=256)
 def chunk_words(pixels: int, code_bits: int, /) -> tuple[int, list[int]]:
-    """Hits from which on a chunk is dense, and its length in words for any number of hits."""
+    """Return the hits from which a chunk is dense, and its words for every number of hits."""
     dense_from = wire.dense_from(pixels, code_bits)
     dense = 1 + wire.dense_bytes(pixels, code_bits) // 4
     bitmaps = 1 + bitmap_bytes(pixels, np.arange(dense_from), code_bits) // 4
     return dense_from, bitmaps.tolist() + [dense] * (pixels + 1 - dense_from)
 
 
-def walk_frames(
+def scan_frames(
     octets: NDArray[np.uint8],
     at: int,
     /,
@@ -69,26 +75,26 @@ def walk_frames(
     code_bits: int,
     run: int,
     most: int,
-) -> Walked:
-    """Walk whole frames of a geometry from byte `at` on, until something else comes."""
+) -> ScannedFrames:
+    """Scan complete frames of one geometry from byte `at` on, up to the first other packet."""
     pixels = rows * cols
     count = -(-pixels // run)
     dense = wire.dense_bytes(run, code_bits) + 4
     longest = FRAME_HEADER.size + count * dense + 8 + FRAME_TRAILER.size
-    block = octets[at : at + min(most, TOGETHER) * longest]
+    block = octets[at : at + min(most, BATCH) * longest]
     block = block[: len(block) // 8 * 8]
     words = block.view("<u4")
-    starts = 2 * np.flatnonzero(block.view("<u8") == _START)[: min(most, TOGETHER) + 1]
+    starts = 2 * np.flatnonzero(block.view("<u8") == _START)[: min(most, BATCH) + 1]
     ends = np.append(starts[1:], len(words))
     starts, ends = starts[:most], ends[:most]
     whole = ends - starts >= _HEADER_WORDS + _TRAILER_WORDS
     starts, ends = starts[whole], ends[whole]
     if not starts.size or starts[0]:
-        return _taken(block, starts[:0], starts[:0], starts[:0], np.zeros((count, 0), np.uint64))
+        return _accepted(block, starts[:0], starts[:0], starts[:0], np.zeros((count, 0), np.uint64))
     good = _good_headers(
         words[starts[:, None] + np.arange(_HEADER_WORDS)], rows, cols, code_bits, run
     )
-    place, entries, total = _walk(words, starts, ends, good, pixels, run, code_bits)
+    place, entries, total = _scan_chunks(words, starts, ends, good, pixels, run, code_bits)
     sizes = 4 * (place + _TRAILER_WORDS - starts) * good
     good[1:] &= starts[:-1] + sizes[:-1] // 4 == starts[1:]
     frames = int(good.argmin()) if not good.all() else len(good)
@@ -99,24 +105,24 @@ def walk_frames(
             break
     there = entries[:, :frames]
     there[there != 0] += np.uint64(at)
-    return _taken(block, starts[:frames], sizes[:frames], total[:frames], there)
+    return _accepted(block, starts[:frames], sizes[:frames], total[:frames], there)
 
 
-def _taken(
+def _accepted(
     block: NDArray[np.uint8],
     starts: _Ints,
     sizes: _Ints,
     hits: _Ints,
     entries: NDArray[np.uint64],
-) -> Walked:
+) -> ScannedFrames:
     headers = block[4 * starts[:, None] + np.arange(FRAME_HEADER.size)]
-    return Walked(sizes, hits, headers, entries)
+    return ScannedFrames(sizes, hits, headers, entries)
 
 
 def _good_headers(
     headers: NDArray[np.uint32], rows: int, cols: int, code_bits: int, run: int
 ) -> NDArray[np.bool_]:
-    """Which headers (frame, word) hold and are of this geometry."""
+    """Return which headers (frame, word) are valid and of this geometry."""
     fields = np.ascontiguousarray(headers).view(FRAME_HEADER.dtype)[:, 0]
     return (
         (np.bitwise_xor.reduce(headers, axis=1) == 0)
@@ -131,15 +137,15 @@ def _good_headers(
 
 @lru_cache(maxsize=16)
 def _lengths(pixels: int, run: int, code_bits: int) -> tuple[_Ints, _Ints]:
-    """Hits from which on a chunk is dense, and words by hits, for inner chunks and the last."""
+    """Return the hits from which chunks are dense, and words by hits, for inner and last chunks."""
     last = pixels - (-(-pixels // run) - 1) * run
     of_inner, of_last = chunk_words(run, code_bits), chunk_words(last, code_bits)
-    lengths = np.zeros((2, 1 << 16), np.int64)  # 0: so many hits can't be
+    lengths = np.zeros((2, 1 << 16), np.int64)  # 0: an impossible number of hits
     lengths[0, 1 : run + 1], lengths[1, 1 : last + 1] = of_inner[1][1:], of_last[1][1:]
     return np.array([of_inner[0], of_last[0]]), lengths
 
 
-def _walk(
+def _scan_chunks(
     words: NDArray[np.uint32],
     starts: _Ints,
     ends: _Ints,
@@ -148,7 +154,7 @@ def _walk(
     run: int,
     code_bits: int,
 ) -> tuple[_Ints, NDArray[np.uint64], _Ints]:
-    """Places of the trailers, entries of the chunks, hits; clears `good` where a rule is broken."""
+    """Return places of trailers, entries of chunks, and hits; clear `good` for invalid frames."""
     count, frames = -(-pixels // run), len(starts)
     dense_from, lengths = _lengths(pixels, run, code_bits)
     entries = np.zeros((count, frames), np.uint64)
@@ -171,7 +177,7 @@ def _walk(
             & (kind == np.where(hits >= dense_from[last], _DENSE, int(wire.ChunkKind.BITMAP)))
         )
         good[going] = chunk | pad | inside & (kind == _END)
-        place[going[pad]] += 1  # the next word must be the end; a chunk there breaks alignment
+        place[going[pad]] += 1  # the next word must be the end; a chunk would not be aligned there
         going, at, index, hits, kind = (x[chunk] for x in (going, at, index, hits, kind))
         entries[index, going] = 4 * at + 4 | hits << HITS_SHIFT | kind << KIND_SHIFT
         previous[going] = index

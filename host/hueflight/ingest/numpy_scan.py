@@ -1,8 +1,8 @@
-"""Scanning in Python: the twin of ``_scan.h``, its oracle and its stand-in without a compiler.
+"""Scanning in Python: reference implementation of ``_c/scan.h``, and fallback without a compiler.
 
 `scan` finds packets by the rules of `hueflight_protocol.PacketParser`, with the two exceptions
-that ``_scan.h`` states, and writes where each frame's chunks lie. Results are the same as the
-compiled kernel's, bit for bit, on any input.
+that ``_c/scan.h`` states, and records where the chunks of each frame lie. On any input, the results
+are bit-identical to those of the compiled kernel.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from hueflight.ingest.numpy_frame_scan import (
     HITS_SHIFT,
     KIND_SHIFT,
-    Walked,
+    ScannedFrames,
     chunk_words,
-    walk_frames,
+    scan_frames,
 )
 from hueflight_protocol import wire
 from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER, PACKET_HEADER, PACKET_TRAILER
@@ -31,9 +31,9 @@ STATE = (
     *("foreign_rows", "foreign_cols", "foreign_bits"),
     *("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost"),
 )
-"""Names of what scanning carries on and adds up, in the order of the array `state`."""
+"""Names of the state and totals that scanning carries, in the order of the array `state`."""
 
-MOST_FRAMES = 65535  # what the 16-bit counters of a tile hold
+MOST_FRAMES = 65535  # the largest value of the 16-bit counters of a tile
 
 _PAD, _DENSE, _END = int(wire.ChunkKind.PAD), int(wire.ChunkKind.DENSE), int(wire.ChunkKind.END)
 _FLAGS = ("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost")
@@ -41,22 +41,22 @@ _WRAP = 1 << 32
 
 
 class _MoreError(Exception):
-    """The packet at hand needs so many bytes."""
+    """The packet at hand is incomplete: it needs `needed` bytes."""
 
     def __init__(self, needed: int) -> None:
         self.needed = needed
 
 
 class _HeaderError(Exception):
-    """There is no packet's header here."""
+    """There is no valid packet header here."""
 
 
 class _PacketError(Exception):
-    """There is a header, but the packet breaks a rule."""
+    """There is a valid header, but the packet breaks a rule."""
 
 
 class _Stream:
-    """A piece of the stream, seen as bytes and as words at any byte."""
+    """A piece of the stream, accessible as bytes, and as words from any byte on."""
 
     def __init__(self, data: Any) -> None:
         self.octets = np.frombuffer(data, np.uint8)
@@ -65,7 +65,7 @@ class _Stream:
         self._words: dict[int, memoryview] = {}
 
     def words(self, at: int) -> tuple[memoryview, int]:
-        """A view of little-endian words, and where in it the byte `at` is."""
+        """Return a view of little-endian words, and the index of the word at byte `at` in it."""
         phase = at % 4
         if phase not in self._words:
             octets = self.view[phase : phase + (self.size - phase) // 4 * 4]
@@ -75,10 +75,10 @@ class _Stream:
         return self._words[phase], at // 4
 
     def find(self, pattern: bytes, at: int) -> int:
-        """First place of `pattern` from `at` on, or of its start that the end cuts."""
+        """Return the first offset of `pattern` from `at` on, or of its first bytes at the end."""
         if self.view[at : at + len(pattern)] == pattern:
             return at
-        step = 1 << 16  # searched in pieces, so that damage in a large buffer stays cheap
+        step = 1 << 16  # in pieces, so that a search in a large buffer does not copy all of it
         while at < self.size:
             piece = bytes(self.view[at : at + step + len(pattern) - 1])
             found = piece.find(pattern)
@@ -91,12 +91,12 @@ class _Stream:
         return self.size
 
     def crc(self, start: int, stop: int) -> int:
-        """CRC-32C of some bytes."""
+        """Return the CRC-32C of the bytes from `start` to `stop`."""
         return google_crc32c.value(self.octets[start:stop])
 
 
 def _header_bytes(stream: _Stream, at: int) -> int:
-    """Check the header at `at`; return its size."""
+    """Check the header at `at` and return its size."""
     left = stream.size - at
     if left < 8:
         raise _MoreError(8)
@@ -136,8 +136,8 @@ def _check_frame(head: dict[str, int]) -> None:
         raise _PacketError
 
 
-def _walk(stream: _Stream, at: int, head: dict[str, int]) -> tuple[int, list[int], list[int]]:
-    """Walk the chunks of the frame at `at`; return its size, chunk indices and table entries."""
+def _scan_frame(stream: _Stream, at: int, head: dict[str, int]) -> tuple[int, list[int], list[int]]:
+    """Go through the chunks of the frame at `at`; return its size, chunk indices and entries."""
     _check_frame(head)
     pixels, run, code_bits = head["rows"] * head["cols"], head["run"], head["code_bits"]
     count = -(-pixels // run)
@@ -189,7 +189,7 @@ def _walk(stream: _Stream, at: int, head: dict[str, int]) -> tuple[int, list[int
 
 
 def _other_bytes(stream: _Stream, at: int, header: int) -> int:
-    """Check the packet at `at`, which is not a frame; return its size."""
+    """Check the packet at `at`, which is not a frame, and return its size."""
     length = int.from_bytes(stream.view[at + 8 : at + 12], "little")
     if length > wire.MAX_BODY_BYTES:
         raise _PacketError
@@ -207,8 +207,8 @@ def _other_bytes(stream: _Stream, at: int, header: int) -> int:
     return size
 
 
-def _book_sequence(state: dict[str, int], sequence: int) -> bool:
-    """Book a sequence number; return whether the packet is new, not the last one again."""
+def _track_sequence(state: dict[str, int], sequence: int) -> bool:
+    """Account for a sequence number; return False if the packet repeats the previous one."""
     gap = (sequence - state["sequence"] - 1) % _WRAP
     first, state["has_sequence"], state["sequence"] = not state["has_sequence"], 1, sequence
     if first:
@@ -223,8 +223,8 @@ def _book_sequence(state: dict[str, int], sequence: int) -> bool:
     return True
 
 
-def _book_frame(state: dict[str, int], head: dict[str, int], aborted: bool, ours: bool) -> bool:
-    """Book a frame's header; return whether its codes count."""
+def _record_frame(state: dict[str, int], head: dict[str, int], aborted: bool, ours: bool) -> bool:
+    """Account for the header of a frame; return whether its codes are to be counted."""
     capture, dropped = head["capture"], head["dropped"]
     if not state["has_dropped"]:
         state["dropped_before"] = dropped
@@ -264,55 +264,73 @@ def scan(
     others: NDArray[np.uint64],
     /,
 ) -> tuple[int, int, int, int, int, int, bool]:
-    """Find the packets of `data` from `start` on; see `kernels.Scanned` for what is returned.
+    """Find the packets of `data` from `start` on and fill the tables of frames.
 
     Parameters
     ----------
-    data : bytes-like, less than 4 GiB.
+    data : bytes-like
+        A piece of the stream, less than 4 GiB.
+    start : int
+        Offset in `data` at which scanning starts.
     final : bool
-        Whether the stream ends with `data`: what is cut short by the end is damage then.
+        Whether the stream ends with `data`. If so, a packet that the end cuts short is damaged.
     rows, cols, code_bits : int
-        Frames of this geometry go to the tables, others are counted as foreign.
-    frames, run : int
-        Frames that the tables hold already, and their run length (0 = none yet).
+        Geometry and code width. Frames that have them go to the tables, others are counted as
+        foreign.
+    frames : int
+        Number of frames that the tables already hold.
     limit : int
-        Most frames that the tables are to hold.
-    state : int64 array (len(STATE),), changed.
-    chunks : uint64 array, changed: seen as (chunk, frame), an entry for each chunk that is there.
-    headers : uint8 array (limit, 64), changed: the frames' headers.
-    places : uint64 array (limit, 2), changed: the frames' offsets and sizes.
-    others : uint64 array (n, 2), changed: offsets and sizes of packets that are not frames.
+        Number of frames in the tables at which scanning stops.
+    run : int
+        Run length of the frames in the tables (0 = none yet).
+    state : numpy.ndarray, int64, shape (len(STATE),)
+        State and totals; updated in place.
+    chunks : numpy.ndarray, uint64
+        Filled with an entry for each chunk, as an array (chunk, frame); 0 = no such chunk.
+    headers : numpy.ndarray, uint8, shape (limit, 64)
+        Filled with the headers of the frames.
+    places : numpy.ndarray, uint64, shape (limit, 2)
+        Filled with the offset and size of each frame.
+    others : numpy.ndarray, uint64, shape (n, 2)
+        Filled with the offset and size of each packet that is not a frame.
+
+    Returns
+    -------
+    tuple
+        The fields of `kernels.Scanned`.
     """
     stream = _Stream(data)
-    book = dict(zip(STATE, state.tolist(), strict=True))
+    totals = dict(zip(STATE, state.tolist(), strict=True))
     pixels, at, found_others = rows * cols, start, 0
     stride = chunks.size // -(-pixels // run) if run else 0
 
     def result(needed: int, ended: bool) -> tuple[int, int, int, int, int, int, bool]:
-        state[:] = list(book.values())
+        state[:] = list(totals.values())
         return at, frames, found_others, run, stride, needed, ended
 
-    wait, pause = 0, 1  # packets until the fast way is tried again, and how many next time
+    wait, pause = 0, 1  # packets until `scan_frames` is tried again, and how many next time
     while not (frames and frames in (limit, stride)) and found_others < len(others):
         if wait == 0 and frames and stream.size - at >= 4 * int(places[frames - 1, 1]):
-            walked = walk_frames(
+            scanned = scan_frames(
                 stream.octets, at, rows=rows, cols=cols, code_bits=code_bits, run=run,
                 most=min(limit, stride) - frames,
             )  # fmt: skip
-            taken = _book_walked(book, walked, at, frames, chunks, headers, places, pixels, run)
-            at, frames = at + int(walked.sizes.sum()), frames + taken
+            taken = _record_frames(
+                totals, scanned, at, frames, chunks, headers, places, pixels, run
+            )
+            at, frames = at + int(scanned.sizes.sum()), frames + taken
             wait, pause = (1, 1) if taken else (pause, min(2 * pause, 64))
             continue
         wait = max(wait - 1, 0)
         found = stream.find(wire.MAGIC, at)
         if found > at:
-            book["skipped_bytes"] += found - at
-            book["in_step"] = 0
+            totals["skipped_bytes"] += found - at
+            totals["in_step"] = 0
             at = found
         if stream.size - at < len(wire.MAGIC):
             if final:
-                book["skipped_bytes"] += stream.size - at
-                book["in_step"] = 1
+                totals["skipped_bytes"] += stream.size - at
+                totals["in_step"] = 1
                 at = stream.size
             return result(8, True)
         head: dict[str, int] = {}
@@ -330,28 +348,28 @@ def scan(
                     if frames:
                         return result(0, False)
                     run, stride = here, chunks.size // -(-pixels // here)
-                size, indices, entries = _walk(stream, at, head)
+                size, indices, entries = _scan_frame(stream, at, head)
             else:
                 size = _other_bytes(stream, at, size)
         except (_MoreError, _HeaderError, _PacketError) as trouble:
             if isinstance(trouble, _MoreError) and not final:
                 return result(trouble.needed, True)
-            # a magic where no packet is due is data unless its header holds
-            book["damaged"] += bool(book["in_step"]) or not isinstance(trouble, _HeaderError)
-            book["skipped_bytes"] += 1
-            book["in_step"] = 0
+            # where no packet is expected, a magic number with an invalid header is data
+            totals["damaged"] += bool(totals["in_step"]) or not isinstance(trouble, _HeaderError)
+            totals["skipped_bytes"] += 1
+            totals["in_step"] = 0
             at += 1
             continue
-        book["in_step"] = 1
-        book["packets"] += 1
+        totals["in_step"] = 1
+        totals["packets"] += 1
         sequence = int.from_bytes(stream.view[at + 12 : at + 16], "little")
-        if _book_sequence(book, sequence):
+        if _track_sequence(totals, sequence):
             if not head:
                 others[found_others] = at, size
                 found_others += 1
-            elif _book_frame(book, head, _is_aborted(stream, at + size), ours):
+            elif _record_frame(totals, head, _is_aborted(stream, at + size), ours):
                 trailer = FRAME_TRAILER.unpack(stream.view, at + size - FRAME_TRAILER.size)
-                book["hits"] += trailer["hits"]
+                totals["hits"] += trailer["hits"]
                 table = chunks[: stride * -(-pixels // run)].reshape(-1, stride)
                 table[:, frames] = 0
                 table[indices, frames] = np.array(entries, np.uint64)
@@ -362,9 +380,9 @@ def scan(
     return result(0, False)
 
 
-def _book_walked(
-    book: dict[str, int],
-    walked: Walked,
+def _record_frames(
+    totals: dict[str, int],
+    scanned: ScannedFrames,
     at: int,
     frames: int,
     chunks: NDArray[np.uint64],
@@ -373,25 +391,25 @@ def _book_walked(
     pixels: int,
     run: int,
 ) -> int:
-    """Book frames walked side by side and put them behind those in the tables; return how many."""
-    fields = walked.headers.reshape(-1).view(FRAME_HEADER.dtype)
+    """Account for frames scanned together and append them to the tables; return their number."""
+    fields = scanned.headers.reshape(-1).view(FRAME_HEADER.dtype)
     names = ("sequence", "capture", "dropped", "flags")
     heads = zip(*(fields[name].tolist() for name in names), strict=True)
     kept: list[int] = []
     for i, values in enumerate(heads):
         head: dict[str, int] = dict(zip(names, values, strict=True))
-        book["packets"] += 1
-        if _book_sequence(book, head["sequence"]) and _book_frame(book, head, False, True):
+        totals["packets"] += 1
+        if _track_sequence(totals, head["sequence"]) and _record_frame(totals, head, False, True):
             kept.append(i)
-    book["in_step"] = 1 if len(fields) else book["in_step"]
-    book["hits"] += int(walked.hits[kept].sum())
+    totals["in_step"] = 1 if len(fields) else totals["in_step"]
+    totals["hits"] += int(scanned.hits[kept].sum())
     count = -(-pixels // run)
     table = chunks[: chunks.size // count * count].reshape(count, -1)
     places_now = slice(frames, frames + len(kept))
-    table[:, places_now] = walked.entries[:, kept]
-    headers[places_now] = walked.headers[kept]
-    starts = at + np.cumsum(walked.sizes) - walked.sizes
-    places[places_now, 0], places[places_now, 1] = starts[kept], walked.sizes[kept]
+    table[:, places_now] = scanned.entries[:, kept]
+    headers[places_now] = scanned.headers[kept]
+    starts = at + np.cumsum(scanned.sizes) - scanned.sizes
+    places[places_now, 0], places[places_now, 1] = starts[kept], scanned.sizes[kept]
     return len(kept)
 
 

@@ -1,4 +1,4 @@
-"""What ingest has seen: every packet that came, every one that did not."""
+"""Totals of ingest: every packet that was received, and every one that was lost."""
 
 from __future__ import annotations
 
@@ -16,25 +16,48 @@ class IngestReport:
 
     Attributes
     ----------
-    packets : intact packets of any type, aborted and repeated ones included.
-    frames : frames counted.
-    photons : codes other than 0 in them.
-    damaged : packets that were recognised and broke a rule, or whose CRC was wrong.
-    missing : packets that never came intact, by gaps in the sequence numbers.
-    dropped : frames that the camera says it dropped, since the first frame seen.
-    dropped_before : frames that the camera had dropped in this run before the first frame seen.
-    aborted : frames that the camera gave up in the middle; not counted.
-    repeated : packets that came twice in a row; counted once.
-    restarts : steps back of the sequence number: the device was reset.
-    foreign : intact frames of another geometry or code width; not counted.
-    skipped_bytes : bytes that belong to no intact packet.
-    masked, roi, gated : frames of which the camera left out hot pixels, rows outside the region
-        of interest, codes outside the time gate. The wire says that it was so, not for how many.
-    saturated : frames in whose header a counter of the camera stands at its end.
-    trigger_lost : frames before which the illuminator missed a trigger.
-    test_pattern, simulated : frames that are not from a sensor.
-    hits : photons that the packets announce.
-    clipped : counts that the overflow policy ``"saturate"`` let go.
+    packets : int
+        Intact packets of any type, including aborted and repeated ones.
+    frames : int
+        Frames that were counted.
+    photons : int
+        Codes other than 0 in these frames.
+    damaged : int
+        Packets that were recognised but broke a rule or had a wrong CRC.
+    missing : int
+        Packets that were not received intact, according to gaps in the sequence numbers.
+    dropped : int
+        Frames dropped by the camera, by its own count, since the first frame received.
+    dropped_before : int
+        Frames that the camera had dropped in this run before the first frame received.
+    aborted : int
+        Frames that the camera aborted before their end. They are not counted.
+    repeated : int
+        Packets received twice in a row. They are counted once.
+    restarts : int
+        Backward steps of the sequence number, which mean that the device was reset.
+    foreign : int
+        Intact frames of another geometry or code width. They are not counted.
+    skipped_bytes : int
+        Bytes that belong to no intact packet.
+    masked : int
+        Frames from which the camera left out hot pixels (the packets do not state how many).
+    roi : int
+        Frames from which the camera left out rows outside the region of interest.
+    gated : int
+        Frames from which the camera left out codes outside the time gate.
+    saturated : int
+        Frames whose header reports that a counter of the camera has reached its maximum.
+    trigger_lost : int
+        Frames before which the illuminator missed a trigger.
+    test_pattern : int
+        Frames that hold a test pattern.
+    simulated : int
+        Frames that come from a simulated sensor.
+    hits : int
+        Photons that the packets announce.
+    clipped : int
+        Counts lost under the overflow policy ``"saturate"``.
     """
 
     packets: int = 0
@@ -61,24 +84,45 @@ class IngestReport:
 
     @property
     def miscounted(self) -> int:
-        """Photons announced but not found; other than 0 only if an encoder is faulty."""
+        """Photons that were announced but not found; only a faulty encoder makes this non-zero."""
         return self.hits - self.photons
 
     @property
     def lossless(self) -> bool:
-        """Whether every frame since the first one seen arrived and was counted."""
+        """Whether every frame since the first one was received and counted."""
         lost = (self.damaged, self.missing, self.dropped, self.aborted, self.foreign)
         return not any((*lost, self.restarts, self.skipped_bytes, self.clipped))
 
     def as_dict(self) -> dict[str, int]:
-        """All totals by name, for JSON and metadata."""
+        """Return all totals by name, for JSON and metadata.
+
+        Returns
+        -------
+        dict of str to int
+            The attributes by name.
+        """
         return asdict(self)
 
     @classmethod
     def from_state(
         cls, state: NDArray[np.int64], *, photons: int = 0, clipped: int = 0
     ) -> IngestReport:
-        """Totals of a scanner's state and what was counted."""
+        """Make a report from the state of a scanner.
+
+        Parameters
+        ----------
+        state : numpy.ndarray, int64
+            State of the scanner, in the order of `kernels.STATE`.
+        photons : int
+            Photons that were counted.
+        clipped : int
+            Counts that were clipped.
+
+        Returns
+        -------
+        IngestReport
+            The totals.
+        """
         seen = state.tolist()
         return cls(
             photons=photons, clipped=clipped, **{name: seen[at] for name, at in _PLACES.items()}

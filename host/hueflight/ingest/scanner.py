@@ -1,4 +1,4 @@
-"""Scanning pieces of a stream: the tables that the kernels fill, and what is carried on."""
+"""Scanning of a stream in pieces: the tables that the kernels fill, and the state in between."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hueflight.ingest.kernels import STATE, Buffer, Kernels, Scanned
 from hueflight.model.instrument import Sensor
 from hueflight_protocol.wire import DEFAULT_RUN, FRAME_HEADER, MAX_CHUNKS
 
-BATCH_FRAMES = 1024  # frames counted together: few enough that their packets stay in the cache
-WINDOW_BYTES = 1 << 30  # scanned at a time; places in the tables are 32-bit
+BATCH_FRAMES = 1024  # frames counted together, few enough that their packets stay in the cache
+WINDOW_BYTES = 1 << 30  # scanned at a time; offsets in the tables have 32 bits
 OTHERS = 64
 CARRIED = ("in_step", "has_sequence", "sequence", "has_dropped", "capture", "last_dropped")
 
@@ -26,17 +26,31 @@ class Scanner:
     Parameters
     ----------
     sensor : Sensor
-        Frames of other geometry or code width are counted as foreign.
+        Sensor whose frames are wanted; frames of another geometry or code width are counted as
+        foreign.
     kernels : Kernels
-        Compiled or NumPy.
+        Backend that scans.
     limit : int
-        Most frames at a time.
+        Largest number of frames that are held at a time.
 
     Attributes
     ----------
-    state : int64 array, named by `kernels.STATE`.
-    chunks, headers, places : tables of the frames at hand; see `numpy_scan.scan`.
-    frames, run, stride : how many frames, their run length, and the stride of `chunks`.
+    state : numpy.ndarray, int64
+        State and totals, in the order of `kernels.STATE`.
+    chunks : numpy.ndarray, uint64
+        Entries of the chunks of the frames; see `numpy_scan.scan`.
+    headers : numpy.ndarray, uint8, shape (limit, 64)
+        Headers of the frames.
+    places : numpy.ndarray, uint64, shape (limit, 2)
+        Offset and size of each frame.
+    others : numpy.ndarray, uint64, shape (n, 2)
+        Offset and size of packets that are not frames.
+    frames : int
+        Number of frames in the tables.
+    run : int
+        Run length of these frames, in pixels.
+    stride : int
+        Number of frames per chunk in `chunks`.
     """
 
     sensor: Sensor
@@ -55,15 +69,15 @@ class Scanner:
         chunks = -(-self.sensor.rows * self.sensor.cols // DEFAULT_RUN)
         self.state = np.zeros(len(STATE), np.int64)
         self.state[STATE.index("in_step")] = 1
-        # Other run lengths than the usual one make do with fewer frames at a time. A row is a cache
-        # line longer than the frames: at a power of two a frame's entries collide in the cache.
+        # Fewer frames fit for shorter run lengths. Rows are longer than the limit by a cache line,
+        # because a power of two as stride gives cache conflicts between the entries of a frame.
         self.chunks = np.zeros(max(MAX_CHUNKS, chunks * (self.limit + 8)), np.uint64)
         self.headers = np.zeros((self.limit, FRAME_HEADER.size), np.uint8)
         self.places = np.zeros((self.limit, 2), np.uint64)
         self.others = np.zeros((OTHERS, 2), np.uint64)
 
     def scan(self, data: Buffer, start: int, *, final: bool, limit: int | None = None) -> Scanned:
-        """Go on from byte `start`, adding frames to the tables until there are `limit`."""
+        """Continue from byte `start` and add frames to the tables until there are `limit`."""
         found = Scanned(
             *self.kernels.scan(
                 data,
@@ -86,30 +100,30 @@ class Scanner:
         return found
 
     def clear(self) -> None:
-        """Forget the frames at hand, not the totals."""
+        """Remove the frames from the tables, but keep the totals."""
         self.frames = 0
 
     def reset_totals(self) -> None:
-        """Start the totals anew; what is carried from packet to packet stays."""
+        """Set the totals to 0, but keep the state that is carried from packet to packet."""
         for number, name in enumerate(STATE):
             if name not in CARRIED:
                 self.state[number] = 0
 
     def header_fields(self) -> NDArray[np.void]:
-        """Headers of the frames at hand, as a structured array (frame,)."""
+        """Return the headers of the frames in the tables, as a structured array (frame,)."""
         return self.headers[: self.frames].reshape(-1).view(FRAME_HEADER.dtype)
 
     def total(self, name: str) -> int:
-        """One of the totals in `state`."""
+        """Return one of the totals in `state`."""
         return int(self.state[STATE.index(name)])
 
     def refuse_foreign(self) -> None:
-        """Complain about frames that are not this sensor's, if there were any.
+        """Raise an error if there were frames of another sensor.
 
         Raises
         ------
         IngestError
-            With both geometries.
+            If there were any; the message states both geometries.
         """
         if not self.total("foreign"):
             return
@@ -123,7 +137,7 @@ class Scanner:
 
 
 def batches(scanner: Scanner, packets: Buffer) -> Iterator[Buffer]:
-    """Scan a whole stream; for each batch of frames give the bytes that the tables refer to."""
+    """Scan a whole stream; yield the bytes that the tables refer to for each batch of frames."""
     whole = memoryview(packets).cast("B") if len(packets) else memoryview(b"")
     base = 0
     while True:

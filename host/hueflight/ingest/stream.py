@@ -1,4 +1,4 @@
-"""Live histograms: bytes in as they come, a histogram out for every block of frames."""
+"""Live histograms: a stream of bytes in, a histogram for every block of frames out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from hueflight.errors import IngestError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulate import checked_threads, frames_by_step
-from hueflight.ingest.accumulator import Counts, Overflow, Table, check_overflow
+from hueflight.ingest.accumulator import Counts, HistogramAccumulator, Overflow, check_overflow
 from hueflight.ingest.buffer import BUFFER_BYTES, PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels
 from hueflight.ingest.report import IngestReport
@@ -23,13 +23,19 @@ class Block:
 
     Attributes
     ----------
-    counts : dict of arrays (row, col, code), by step of the illuminator
-        One entry, under 0, unless steps are kept apart.
-    frames : how many frames are in it.
-    first_frame, last_frame : their numbers as the camera counts.
-    first_tick, last_tick : device clock at the start of the first and last exposure.
-    clock_hz : ticks per second.
-    report : what the whole stream has brought up to here.
+    counts : dict of int to numpy.ndarray
+        Histogram (row, col, code) for each step of the illuminator; a single one, under 0, unless
+        steps are kept separate.
+    frames : int
+        Number of frames.
+    first_frame, last_frame : int
+        Frame numbers of the first and last frame, as counted by the camera.
+    first_tick, last_tick : int
+        Device clock at the start of the first and last exposure, in ticks.
+    clock_hz : int
+        Ticks per second of the device clock.
+    report : IngestReport
+        Totals of the whole stream up to the end of the block.
     """
 
     counts: dict[int, Counts]
@@ -43,38 +49,43 @@ class Block:
 
     @property
     def histogram(self) -> Counts:
-        """The only histogram of a block that does not keep steps apart."""
+        """The histogram of a block that does not keep steps separate."""
         return self.counts[0]
 
 
 class HistogramStream:
-    """Counts a stream that comes in pieces, and gives a `Block` for every `block_frames`.
+    """Counts a stream that arrives in pieces and gives a `Block` for every `block_frames` frames.
 
-    Memory is bounded whatever the stream's length: the buffer, one table of counts per step, and
-    for sliding windows one per block in the window.
+    Memory is bounded whatever the length of the stream: a buffer, one histogram per step, and one
+    per block of a sliding window.
 
     Parameters
     ----------
     instrument : Instrument
-        States geometry and code width.
+        Instrument that states geometry and code width.
     block_frames : int, optional
-        Frames per block: 620 at 18 600 frames per second are 30 blocks per second. Without it
-        there is one block, when `finish` is called.
+        Frames per block; 620 at 18 600 frames per second give 30 blocks per second. By default
+        there is one block, which `finish` returns.
     window_blocks : int
-        Each histogram is the sum of the latest so many blocks: a sliding window.
+        Number of latest blocks whose sum each histogram is, as a sliding window.
     by_step : bool
-        Keep one histogram for each step of the illuminator; by default all frames count together.
-    overflow : Overflow
-        What to do when a counter is full; see `accumulate`.
+        Whether to keep one histogram for each step of the illuminator. By default all frames are
+        counted together.
+    overflow : {"error", "saturate", "widen"}
+        Policy for a counter that is full; see `accumulate`.
     threads : int
-        Threads over pixels.
+        Number of threads, which share the pixels.
     buffer_bytes : int
-        Bytes of packets held back before they are counted.
+        Size of the buffer for packets that have not been counted yet.
+    kernels : Kernels, optional
+        Backend; by default the fastest one (see `kernels.choose`).
 
     Raises
     ------
-    IngestError, OverflowPolicyError
-        If an option makes no sense.
+    IngestError
+        If `block_frames`, `window_blocks`, `threads` or `buffer_bytes` is out of range.
+    OverflowPolicyError
+        If there is no such policy.
     """
 
     def __init__(
@@ -104,53 +115,99 @@ class HistogramStream:
         self._kernels = kernels or backends.choose()
         self._buffer = PacketBuffer(instrument.sensor, self._kernels, capacity=buffer_bytes)
         self._window = _Window(window_blocks, instrument.histogram_shape)
-        self._tables: dict[int, Table] = {}
+        self._accumulators: dict[int, HistogramAccumulator] = {}
         self._spare: list[Counts] = []
-        self._counted = 0  # frames of the block that are in the tables
-        self._span: list[int] = []  # frame numbers and ticks, of the first and the last
+        self._counted = 0  # frames of the current block
+        self._span: list[int] = []  # frame numbers and ticks of the first and last frame
         self._clock_hz = 0
         self._photons = self._clipped = 0
 
     @property
     def report(self) -> IngestReport:
-        """Totals so far; photons up to what has been counted."""
+        """Totals so far; the photons are those of frames that have been counted."""
         return IngestReport.from_state(
             self._buffer.scanner.state, photons=self._photons, clipped=self._clipped
         )
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes held back until their packet is complete."""
+        """Number of bytes of the packet that is still incomplete."""
         return self._buffer.pending
 
     def take_others(self) -> list[bytes]:
-        """Packets since the last call that are not frames: events, status, test patterns."""
+        """Return the packets since the last call that are not frames.
+
+        Returns
+        -------
+        list of bytes
+            Packets with events, status or test patterns, as received.
+        """
         taken, self._buffer.others = self._buffer.others, []
         return taken
 
     def writable(self) -> memoryview:
-        """Where the next bytes of the stream go: `recv_into` it, then `commit`."""
+        """Return the memory for the next bytes of the stream.
+
+        Returns
+        -------
+        memoryview
+            Memory to `recv_into`, before a call of `commit`.
+        """
         return self._buffer.writable()
 
     def commit(self, size: int, /) -> list[Block]:
-        """Say that `size` bytes have been received; return the blocks that they complete."""
+        """Record that bytes have been received into `writable`.
+
+        Parameters
+        ----------
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        list of Block
+            The blocks that these bytes complete.
+        """
         self._buffer.commit(size)
         return self._advance(final=False)
 
     def feed(self, data: bytes | bytearray | memoryview, /) -> list[Block]:
-        """Take the next bytes of the stream; return the blocks that they complete."""
+        """Take the next bytes of the stream.
+
+        Parameters
+        ----------
+        data : bytes-like
+            Any number of bytes; packets may be split anywhere.
+
+        Returns
+        -------
+        list of Block
+            The blocks that these bytes complete.
+        """
         blocks: list[Block] = []
         for _ in pieces(self._buffer, data):
             blocks += self._advance(final=False)
         return blocks
 
     def finish(self) -> list[Block]:
-        """Say that the stream has ended; return the last block, which may be shorter."""
+        """End the stream.
+
+        Returns
+        -------
+        list of Block
+            The remaining blocks, the last of which may be shorter.
+        """
         blocks = self._advance(final=True)
         return [*blocks, self._emit()] if self._counted or not self._block_frames else blocks
 
     def recycle(self, block: Block, /) -> None:
-        """Give back a block that is no longer needed, so that its memory serves again."""
+        """Give back a block that is no longer needed, so that its memory is reused.
+
+        Parameters
+        ----------
+        block : Block
+            A block of this stream.
+        """
         self._spare += [counts for counts in block.counts.values() if counts.dtype == np.uint16]
 
     def _advance(self, *, final: bool) -> list[Block]:
@@ -169,26 +226,26 @@ class HistogramStream:
                 return blocks
 
     def _count(self) -> None:
-        """Add the frames at hand to the tables."""
+        """Add the frames in the buffer to the histograms."""
         scanner = self._buffer.scanner
         if not scanner.frames:
             return
         for step, position, chosen in frames_by_step(scanner):
-            table = self._table(step if self._by_step else 0)
-            photons, clipped = table.photons, table.clipped
+            accumulator = self._accumulator(step if self._by_step else 0)
+            photons, clipped = accumulator.photons, accumulator.clipped
             first_row = position * self.instrument.sensor.rows
-            table.add(self._buffer.data, scanner, chosen, first_row=first_row)
-            self._photons += table.photons - photons
-            self._clipped += table.clipped - clipped
+            accumulator.add(self._buffer.data, scanner, chosen, first_row=first_row)
+            self._photons += accumulator.photons - photons
+            self._clipped += accumulator.clipped - clipped
         headers = scanner.header_fields()
         ends = [int(headers[i][name]) for name in ("frame", "timestamp") for i in (0, -1)]
         self._span = [self._span[0], ends[1], self._span[2], ends[3]] if self._span else ends
         self._clock_hz = int(headers[-1]["clock_hz"])
         self._counted += scanner.frames
 
-    def _table(self, step: int) -> Table:
-        if step not in self._tables:
-            self._tables[step] = Table(
+    def _accumulator(self, step: int) -> HistogramAccumulator:
+        if step not in self._accumulators:
+            self._accumulators[step] = HistogramAccumulator(
                 *self.instrument.image_shape,
                 self.instrument.sensor.code_bits,
                 kernels=self._kernels,
@@ -196,12 +253,12 @@ class HistogramStream:
                 reuse=self._spare.pop() if self._spare else None,
                 threads=self._threads,
             )
-        return self._tables[step]
+        return self._accumulators[step]
 
     def _emit(self) -> Block:
-        if not self._tables and not self._by_step:
-            self._table(0)
-        counts = {step: self._tables[step].finish() for step in sorted(self._tables)}
+        if not self._accumulators and not self._by_step:
+            self._accumulator(0)
+        counts = {step: self._accumulators[step].finish() for step in sorted(self._accumulators)}
         first_frame, last_frame, first_tick, last_tick = self._span or (0, 0, 0, 0)
         block = Block(
             counts=counts,
@@ -213,12 +270,12 @@ class HistogramStream:
             clock_hz=self._clock_hz,
             report=self.report,
         )
-        self._tables, self._counted, self._span = {}, 0, []
+        self._accumulators, self._counted, self._span = {}, 0, []
         return self._window.slide(block)
 
 
 class _Window:
-    """Sum of the latest blocks: adds the new one, takes the oldest away."""
+    """Sum of the latest blocks: adds the new block and subtracts the oldest one."""
 
     def __init__(self, blocks: int, shape: tuple[int, int, int]) -> None:
         self._blocks: deque[Block] = deque(maxlen=blocks)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hueflight.errors import RecordingError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulate import checked_threads, frames_by_step
-from hueflight.ingest.accumulator import Counts, Table
+from hueflight.ingest.accumulator import Counts, HistogramAccumulator
 from hueflight.ingest.buffer import BUFFER_BYTES, LEAST_BYTES, PacketBuffer
 from hueflight.ingest.kernels import STATE, Kernels
 from hueflight.ingest.report import IngestReport
@@ -217,31 +217,31 @@ class Recording:
     def _count(
         self, start: int, stop: int | None, *, by_step: bool, threads: int
     ) -> tuple[dict[int, Counts], IngestReport]:
-        tables: dict[int, Table] = {}
+        accumulators: dict[int, HistogramAccumulator] = {}
 
-        def table(step: int) -> Table:
-            if step not in tables:
-                tables[step] = Table(
+        def accumulator(step: int) -> HistogramAccumulator:
+            if step not in accumulators:
+                accumulators[step] = HistogramAccumulator(
                     *self.instrument.image_shape,
                     self.instrument.sensor.code_bits,
                     kernels=self._kernels,
                     overflow="widen",
                     threads=checked_threads(threads),
                 )
-            return tables[step]
+            return accumulators[step]
 
         report = IngestReport()
         for buffer in self._frames(*self._checked(start, stop)):
             for step, position, chosen in frames_by_step(buffer.scanner):
                 first_row = position * self.instrument.sensor.rows
-                table(step if by_step else 0).add(
+                accumulator(step if by_step else 0).add(
                     buffer.data, buffer.scanner, chosen, first_row=first_row
                 )
-            photons = sum(each.photons for each in tables.values())
+            photons = sum(each.photons for each in accumulators.values())
             report = IngestReport.from_state(buffer.scanner.state, photons=photons)
         if not by_step:
-            table(0)
-        return {step: tables[step].finish() for step in sorted(tables)}, report
+            accumulator(0)
+        return {step: accumulators[step].finish() for step in sorted(accumulators)}, report
 
     def _frames(self, start: int, stop: int) -> Iterator[PacketBuffer]:
         """Bring frames to hand, as many at a time as fit; the totals are those of the slice."""

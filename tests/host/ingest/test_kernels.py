@@ -1,4 +1,4 @@
-"""The kernels against the reference parser, and the compiled ones against their NumPy twins."""
+"""The kernels against the reference parser, and the compiled ones against those in NumPy."""
 
 from collections.abc import Callable
 from typing import Any
@@ -129,13 +129,13 @@ def test_compiled_and_numpy_say_the_same(
     changes=edits,
     limit=st.sampled_from([1, 30, 100]),
 )
-def test_long_streams_are_walked_the_same(
+def test_long_streams_are_scanned_the_same(
     geometry: tuple[int, int, int],
     seed: int,
     changes: list[tuple[str, int, bytes]],
     limit: int,
 ) -> None:
-    """The twin walks many frames side by side, and must see all that is unusual among them."""
+    """The NumPy backend scans many frames at once and must notice everything unusual among them."""
     rows, cols, code_bits = geometry
     rng = np.random.default_rng(seed)
     packets: list[bytes] = []

@@ -1,10 +1,10 @@
-/* count: codes of a block of frames into histograms, a chunk's pixels at a time. */
-#ifndef CODE_WIDTHS /* a fuzzer compiles those that it uses */
+/* count: add the codes of a block of frames to histograms, one chunk of pixels at a time. */
+#ifndef CODE_WIDTHS /* the fuzzer compiles only the widths that it uses */
 #define CODE_WIDTHS(X) \
     X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13) X(14) X(15) X(16)
 #endif
 #include "tiles.h"
-#include "narrow.h"
+#include "window_counters.h"
 
 INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const int fast)
 {
@@ -14,7 +14,7 @@ INLINE int count_chunk(Count *count, size_t chunk, const unsigned bits, const in
         return 0;
     uint8_t *done = count->done + chunk * ((count->run + TILE - 1) / TILE);
     if (count->sparse_count && !count->dense_count && !count->spread
-        && count_narrow(count, first, shape.pixels, done, bits, fast))
+        && count_in_window(count, first, shape.pixels, done, bits, fast))
         return 1;
     for (unsigned at = 0; at < shape.pixels; at += TILE, done++) {
         unsigned pixels = shape.pixels - at < TILE ? shape.pixels - at : TILE;
@@ -71,7 +71,7 @@ static int count_chunks(Count *count, size_t begin, size_t end)
     const size_t stride = ((size_t)1 << count->code_bits) + SPARE;
     const size_t rows = count->pixels < TILE ? count->pixels : TILE;
     count->tile = calloc(rows * stride, sizeof(uint16_t));
-    count->narrow = calloc((count->run < count->pixels ? count->run : count->pixels) * NARROW,
+    count->window = calloc((count->run < count->pixels ? count->run : count->pixels) * WINDOW_CODES,
                            sizeof(uint16_t));
     count->dense = malloc(room * sizeof *count->dense);
     count->sparse = malloc(room * sizeof *count->sparse);
@@ -80,7 +80,7 @@ static int count_chunks(Count *count, size_t begin, size_t end)
     count->sorted = malloc(room * sizeof *count->sorted);
     for (size_t row = 0; count->tile && row < rows; row++)
         count->rows[row] = count->tile + row * stride;
-    if (count->tile && count->narrow && count->dense && count->sparse && count->ordered
+    if (count->tile && count->window && count->dense && count->sparse && count->ordered
         && count->found && count->sorted) {
         result = OK;
         for (size_t chunk = begin; result == OK && chunk < end; chunk++)
@@ -88,7 +88,7 @@ static int count_chunks(Count *count, size_t begin, size_t end)
                 result = BAD_CHUNK;
     }
     free(count->tile);
-    free(count->narrow);
+    free(count->window);
     free(count->dense);
     free(count->sparse);
     free(count->ordered);

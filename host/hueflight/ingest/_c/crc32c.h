@@ -1,8 +1,9 @@
-/* CRC-32C (Castagnoli), as RFC 3720 appendix B.4 has it.
+/* CRC-32C (Castagnoli), as defined in RFC 3720, appendix B.4.
  *
-* Slices of eight bytes by table; where the processor has the crc32 instruction, three streams of
- * it at once, because one stream waits three clocks for each result. The three remainders are
- * joined by moving a remainder past LANE zero bytes, which is linear: one table per byte of it. */
+ * Eight bytes at a time by table. Where the processor has the crc32 instruction, three streams are
+ * computed at once, because the instruction has a latency of three clocks. The three remainders are
+ * combined by shifting a remainder past LANE zero bytes, a linear operation with one table per byte
+ * of the remainder. */
 
 enum { LONG_LANE = 1024, SHORT_LANE = 128, FOLDED = 256 };
 static uint32_t crc_table[8][256], past_long[4][256], past_short[4][256];
@@ -19,7 +20,7 @@ static void make_past(uint32_t table[4][256], unsigned zeros)
         }
 }
 
-/* x^(8 n) modulo the polynomial, shifted as a product of reflected factors needs it. */
+/* x^(8 n) modulo the polynomial, shifted by one as products of reflected factors require. */
 static uint64_t power(unsigned n)
 {
     uint32_t crc = 1u << 31;
@@ -98,7 +99,7 @@ static uint32_t crc_by_instruction(uint32_t crc, const uint8_t *p, size_t size)
     return crc;
 }
 
-/* Move remainders of 16 bytes past what lies between them and `next`, to which they are added. */
+/* Shift remainders of 16 bytes past the bytes between them and `next`, and add them to it. */
 AVX512_INLINE __m512i fold(__m512i crc, __m512i past, __m512i next)
 {
     return _mm512_ternarylogic_epi64(_mm512_clmulepi64_epi128(crc, past, 0x00),
@@ -125,13 +126,13 @@ AVX512 static uint32_t crc_by_folding(uint32_t crc, const uint8_t *p, size_t siz
     d = fold(fold(fold(a, near, b), near, c), near, d);
     for (; size >= 64; p += 64, size -= 64)
         d = fold(d, near, _mm512_loadu_si512(p));
-    uint8_t folded[64]; /* has the same remainder as all before p */
+    uint8_t folded[64]; /* has the same remainder as all bytes before p */
     _mm512_storeu_si512(folded, d);
     return crc_by_instruction(crc_by_instruction(0, folded, sizeof folded), p, size);
 }
 #endif
 
-/* Go on with a CRC whose first value is ~0 and whose result is the complement of its last. */
+/* Continue a CRC, whose initial value is ~0 and whose result is the complement of the last one. */
 static uint32_t crc_more(uint32_t crc, const uint8_t *p, size_t size)
 {
 #ifdef X86_DISPATCH
@@ -145,17 +146,17 @@ static uint32_t crc_more(uint32_t crc, const uint8_t *p, size_t size)
 
 static uint32_t crc32c(const uint8_t *p, size_t size) { return ~crc_more(~0u, p, size); }
 
-/* Whether a CRC that has come to `crc` ends, with the bytes at p, in the value stored there. */
+/* Whether the CRC `crc`, continued over `size` bytes at p, equals the value stored after them. */
 static int crc_holds(uint32_t crc, const uint8_t *p, size_t size)
 {
     int holds = load32(p + size) == ~crc_more(crc, p, size);
-#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* a fuzzer can't guess CRCs */
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION /* a fuzzer cannot guess CRCs */
     holds = 1;
 #endif
     return holds;
 }
 
-/* Call once, before anything else. */
+/* Must be called once, before anything else. */
 static void start_kernels(void)
 {
     make_crc_tables();

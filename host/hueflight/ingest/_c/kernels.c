@@ -1,12 +1,13 @@
 /* Packets to histograms, at the rate of the sensor chip: the extension module.
  *
- * Two kernels, each with a NumPy twin in numpy_kernels.py that gives the same bits:
+ * Two kernels. numpy_kernels.py holds the reference implementation of each, which is also the
+ * fallback and gives bit-identical results.
  *
- *   scan   finds the packets in a piece of a byte stream and notes where their chunks lie;
+ *   scan   finds the packets in a piece of a byte stream and records where their chunks lie;
  *   count  counts the codes of those frames.
  *
- * Nothing read from a packet is used as a place or a size before it was checked. Both kernels run
- * without the interpreter's lock and touch only buffers that the caller holds. */
+ * Nothing read from a packet is used as an offset or a size before it has been checked. Both
+ * kernels run without the interpreter's lock and touch only buffers that the caller holds. */
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
@@ -42,7 +43,7 @@ static void release(Held *held, size_t count)
 
 /* scan(data, start, final, rows, cols, code_bits, frames, limit, run, state, chunks, headers,
  *      places, others) -> (position, frames, others, run, stride, needed, ended)
- * The tables hold `frames` frames of run length `run` already; more go behind them. */
+ * The tables already hold `frames` frames of run length `run`; new frames are appended. */
 static PyObject *py_scan(PyObject *self, PyObject *args)
 {
     (void)self;

@@ -1,22 +1,22 @@
-/* Rows of the table: a pixel's counts, one for each code, 16 or 32 bits wide.
+/* Rows of the table: the counts of one pixel, one for each code, 16 or 32 bits wide.
  *
- * A tile's counters go to its pixels' rows in one pass: a second one over what the first has
- * written would have to wait until the memory has taken it. Code 0 is where frames without a code
- * go: the camera's "no photon", and the codes that it did not send. */
+ * The counters of a tile are added to the rows of its pixels in a single pass; a second pass would
+ * have to wait for the stores of the first. Code 0 receives the frames without a code: those in
+ * which the sensor reports no photon, and those whose code the camera did not send. */
 enum {
-    SPARE = 16, /* counters between two pixels' in a tile: powers of two collide in the cache */
-    ROWS_NARROW = 32, /* codes of a narrow tile */
-    ROWS_AHEAD = 24 /* rows of the table that are fetched ahead */
+    SPARE = 16, /* unused counters per pixel: a power of two as stride gives cache conflicts */
+    ROWS_WINDOW = 32, /* codes of a window (see window_counters.h) */
+    ROWS_AHEAD = 24 /* prefetch distance, in rows of the table */
 };
 enum { ADD, STORE, SATURATE, SUBTRACT };
 #define NO_PHOTON(seen, from, to) ((from) == 0 && (to) > 0 ? (seen)[0] : 0) /* of code 0 */
 
 typedef struct { uint16_t *at; size_t stride, from, to; } Seen; /* counters of codes from..to-1 */
 
-/* The functions of one row return the pixel's photons, which are exact: a tile sees at most 65 535
- * frames. `put` returns whether the tile is in the table: ADD leaves it as it was if a counter
- * would not hold its sum, and only then is the tile gone through again. Rows lie far apart and
- * those of codes that few photons have are not fetched by the processor itself. */
+/* The functions of one row return the photons of the pixel, which are exact because a tile counts
+ * at most 65 535 frames. `put` returns whether the tile was added to the table: if a counter would
+ * overflow, ADD leaves the table as it was, and only then is there a second pass. Rows are far
+ * apart, so that the hardware prefetcher does not fetch the parts that few photons reach. */
 #define DEFINE_ROWS(word, largest) \
 INLINE uint16_t store_##word(word *restrict row, const uint16_t *restrict seen, size_t codes, \
                              size_t from, size_t to, size_t frames) \
@@ -110,14 +110,14 @@ INLINE int put_codes_##word(word *rows, const Seen *tile, const size_t from, con
     *photons += sum; \
     return 1; \
 } \
-/* Loops of constant length where the lengths are few. */ \
+/* Loops of constant length for the common lengths. */ \
 INLINE int put_##word(word *rows, const Seen *tile, unsigned pixels, size_t codes, \
                       size_t frames, int mode, uint64_t *photons, uint64_t *clipped) \
 { \
     const size_t from = tile->from, to = tile->to; \
     return !to ? put_codes_##word(rows, tile, 0, 0, pixels, codes, frames, mode, photons, clipped) \
-        : to == from + ROWS_NARROW \
-            ? put_codes_##word(rows, tile, from, from + ROWS_NARROW, pixels, codes, frames, mode, \
+        : to == from + ROWS_WINDOW \
+            ? put_codes_##word(rows, tile, from, from + ROWS_WINDOW, pixels, codes, frames, mode, \
                                photons, clipped) \
             : put_codes_##word(rows, tile, from, to, pixels, codes, frames, mode, photons, \
                                clipped); \

@@ -1,12 +1,13 @@
-/* scan: the packets in a piece of a byte stream, and the bookkeeping of their sequence.
+/* scan: find the packets in a piece of a byte stream and keep track of their sequence numbers.
  *
- * The rules are those of hueflight_protocol.PacketParser: after damage the next magic is looked
- * for at any byte, inside the damaged packet too. Two rules about content are not checked here,
- * since that would cost as much as counting: that padding bits are 0 (F10), and that no packed code
- * contradicts its chunk's hits (F11). A packet that passes its CRC and breaks them comes from a
- * faulty encoder; it can't misplace other pixels' counts, and the report shows it as miscounted. */
-/* What scanning carries from piece to piece and adds up. Python sees it as an array of int64 with
- * these names in this order. */
+ * The rules are those of hueflight_protocol.PacketParser: after damage, the next magic number is
+ * searched for from every byte on, including inside the damaged packet. Two rules about the content
+ * are not checked here, because checking them would cost as much as counting: that padding bits are
+ * 0 (F10), and that no packed code contradicts its chunk's hits (F11). A packet that passes its CRC
+ * and breaks these rules comes from a faulty encoder. It cannot misplace the counts of other
+ * pixels, and the report shows it as miscounted. */
+/* State and totals that scanning carries from one piece to the next. Python sees them as an array
+ * of int64 with these names in this order. */
 #define STATE(X) \
     X(in_step) X(has_sequence) X(sequence) X(has_dropped) X(capture) X(last_dropped) \
     X(packets) X(frames) X(aborted) X(repeated) X(foreign) X(damaged) X(skipped_bytes) \
@@ -24,7 +25,7 @@ typedef enum { GOOD, MORE, NO_HEADER, BAD } Verdict;
 typedef struct {
     const uint8_t *data;
     size_t size;
-    unsigned rows, cols, code_bits; /* frames of another geometry are counted as foreign */
+    unsigned rows, cols, code_bits; /* other geometries are counted as foreign */
     State *state;
     uint64_t *chunks; /* (chunk, frame): see chunk_entry */
     size_t chunks_size, frame_limit;
@@ -35,8 +36,8 @@ typedef struct {
     size_t frames, others_count;
     unsigned run;  /* pixels per chunk of these frames */
     size_t stride; /* frames per chunk in `chunks` */
-    size_t needed; /* bytes from the current place without which there is nothing to do */
-    int ended;     /* stopped for want of bytes, not of room */
+    size_t needed; /* bytes needed from the current place on to make progress */
+    int ended;     /* stopped because the data ended, not because a table is full */
 } Scan;
 
 INLINE uint64_t chunk_entry(size_t offset, unsigned hits, unsigned kind)
@@ -44,7 +45,7 @@ INLINE uint64_t chunk_entry(size_t offset, unsigned hits, unsigned kind)
     return (uint64_t)offset | (uint64_t)hits << 32 | (uint64_t)kind << 48;
 }
 
-/* Payload bytes of a chunk, and from how many hits on it is dense (rule F9). */
+/* Payload bytes of a chunk, and the number of hits from which it is dense (rule F9). */
 typedef struct { unsigned pixels, bits, dense_from, map_bits; size_t dense_bytes; } Shape;
 
 static Shape chunk_shape(unsigned pixels, unsigned bits)
@@ -59,10 +60,10 @@ INLINE size_t payload_bytes(const Shape *shape, unsigned hits, unsigned kind)
 {
     if (kind == DENSE)
         return shape->dense_bytes;
-    return (shape->map_bits + (size_t)hits * shape->bits + 31) / 32 * 4; /* walking waits for it */
+    return (shape->map_bits + (size_t)hits * shape->bits + 31) / 32 * 4; /* on the critical path */
 }
 
-/* Check the header at p, of which `left` bytes are there; its size goes to *size. */
+/* Check the header at p, of which `left` bytes are available, and store its size in *size. */
 static Verdict check_header(Scan *scan, const uint8_t *p, size_t left, size_t *size)
 {
     if (left < 8) {
@@ -86,8 +87,8 @@ static Verdict check_header(Scan *scan, const uint8_t *p, size_t left, size_t *s
     return check ? NO_HEADER : GOOD;
 }
 
-/* Walk the frame packet at p to its end; its size goes to *size. */
-static Verdict walk_frame(Scan *scan, const uint8_t *p, size_t left, int ours, size_t *size)
+/* Go through the chunks of the frame packet at p and store the size of the packet in *size. */
+static Verdict scan_frame(Scan *scan, const uint8_t *p, size_t left, int ours, size_t *size)
 {
     unsigned rows = load16(p + AT_ROWS), cols = load16(p + AT_COLS), run = load16(p + AT_RUN);
     unsigned bits = p[AT_CODE_BITS];
@@ -102,8 +103,8 @@ static Verdict walk_frame(Scan *scan, const uint8_t *p, size_t left, int ours, s
     size_t at = FRAME_HEADER, base = (size_t)(p - scan->data), summed = 0;
     uint32_t hits = 0, crc = ~0u;
     for (;;) {
-        /* The CRC keeps pace with the walk: it reads in sequence, so that the bytes are in the
-         * cache when the walk needs a word among them. */
+        /* The CRC is computed along with the chunks: it reads sequentially, so that the bytes are
+         * already in the cache when a chunk word is read. */
         for (; at - summed >= 3 * LONG_LANE && left >= at; summed += 3 * LONG_LANE)
             crc = crc_more(crc, p + summed, 3 * LONG_LANE);
         if (left < at + 4) {
@@ -175,8 +176,8 @@ static Verdict check_other(Scan *scan, const uint8_t *p, size_t left, size_t hea
         ? GOOD : BAD;
 }
 
-/* Book a sequence number; return whether the packet is new, not the last one again. */
-static int book_sequence(State *state, uint32_t sequence)
+/* Account for a sequence number; return 0 if the packet repeats the previous one. */
+static int track_sequence(State *state, uint32_t sequence)
 {
     uint32_t gap = sequence - (uint32_t)state->sequence - 1;
     int first = !state->has_sequence;
@@ -195,7 +196,7 @@ static int book_sequence(State *state, uint32_t sequence)
     return 1;
 }
 
-static void book_dropped(State *state, uint32_t capture, uint32_t dropped)
+static void track_dropped(State *state, uint32_t capture, uint32_t dropped)
 {
     int same_run = capture == state->capture && dropped >= state->last_dropped;
     if (!state->has_dropped)
@@ -207,10 +208,10 @@ static void book_dropped(State *state, uint32_t capture, uint32_t dropped)
     state->last_dropped = dropped;
 }
 
-static void book_frame(Scan *scan, const uint8_t *p, size_t size, int ours)
+static void record_frame(Scan *scan, const uint8_t *p, size_t size, int ours)
 {
     State *state = scan->state;
-    book_dropped(state, load32(p + AT_CAPTURE), load32(p + AT_DROPPED));
+    track_dropped(state, load32(p + AT_CAPTURE), load32(p + AT_DROPPED));
     if (load32(p + size - FRAME_TRAILER) >> 2 & 1) {
         state->aborted++;
         return;
@@ -250,7 +251,7 @@ static size_t find_magic(const uint8_t *data, size_t at, size_t size)
         while (i < left && found[i] == (MAGIC >> 8 * i & 255))
             i++;
         if (i == left)
-            return at; /* a magic, or its start cut by the end of the piece */
+            return at; /* the magic number, or its first bytes at the end of the piece */
         at++;
     }
     return size;
@@ -264,7 +265,7 @@ static int is_ours(const Scan *scan, const uint8_t *p)
         && (pixels + run - 1) / run <= scan->chunks_size;
 }
 
-/* Lay out `chunks` for another run length; only while it is empty. */
+/* Lay out `chunks` for another run length, which is possible only while it is empty. */
 static int take_run(Scan *scan, unsigned run)
 {
     if (scan->frames)
@@ -274,8 +275,9 @@ static int take_run(Scan *scan, unsigned run)
     return 1;
 }
 
-/* Go through the packets from `at` on; return where it stopped: at the end, at a full table, or at
- * a frame with another run length. With `final`, what is cut short by the end is damage. */
+/* Go through the packets from `at` on and return where scanning stopped: at the end, at a full
+ * table, or at a frame with another run length. With `final`, a packet that the end cuts short
+ * counts as damaged. */
 static size_t scan_packets(Scan *scan, size_t at, int final)
 {
     State *state = scan->state;
@@ -305,7 +307,7 @@ static size_t scan_packets(Scan *scan, size_t at, int final)
             ours = is_ours(scan, p);
             if (ours && load16(p + AT_RUN) != scan->run && !take_run(scan, load16(p + AT_RUN)))
                 return at;
-            verdict = walk_frame(scan, p, left, ours, &size);
+            verdict = scan_frame(scan, p, left, ours, &size);
         } else if (verdict == GOOD)
             verdict = check_other(scan, p, left, size, &size);
 
@@ -314,7 +316,7 @@ static size_t scan_packets(Scan *scan, size_t at, int final)
             return at;
         }
         if (verdict != GOOD) {
-            /* a magic where no packet is due is data unless its header holds */
+            /* where no packet is expected, a magic number with an invalid header is data */
             state->damaged += state->in_step || verdict != NO_HEADER;
             state->skipped_bytes++;
             state->in_step = 0;
@@ -323,9 +325,9 @@ static size_t scan_packets(Scan *scan, size_t at, int final)
         }
         state->in_step = 1;
         state->packets++;
-        if (book_sequence(state, load32(p + AT_SEQUENCE))) {
+        if (track_sequence(state, load32(p + AT_SEQUENCE))) {
             if (frame)
-                book_frame(scan, p, size, ours);
+                record_frame(scan, p, size, ours);
             else {
                 scan->others[2 * scan->others_count] = at;
                 scan->others[2 * scan->others_count++ + 1] = size;

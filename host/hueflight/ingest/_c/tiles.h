@@ -1,13 +1,13 @@
-/* Tiles: the counters of 64 pixels, which stay in the cache while all frames of a block pass by,
- * and go to the table once. Counting frame by frame would scatter into a table that no cache holds.
- */
+/* Tiles: the counters of 64 pixels stay in the cache while all frames of a block are counted, and
+ * are then added to the table once. Counting frame by frame would scatter into a table that is
+ * larger than any cache. */
 enum {
     TILE = 64,    /* pixels counted at a time */
-    LINE = 64,    /* bytes that come into the cache together */
-    AHEAD = 8,    /* frames whose hits are fetched ahead */
-    FETCH_MOST = 1 << 18, /* bytes of rows that are fetched ahead: half of a small second cache */
-    SLACK = 8,    /* bytes that may be read behind a payload: its packet's trailer is longer */
-    MOST_FRAMES = 65535 /* what a tile's counters hold */
+    LINE = 64,    /* bytes of a cache line */
+    AHEAD = 8,    /* prefetch distance, in frames */
+    FETCH_MOST = 1 << 18, /* bytes of rows that are prefetched: half of a small level-2 cache */
+    SLACK = 8,    /* bytes that may be read past a payload: the trailer of its packet is longer */
+    MOST_FRAMES = 65535 /* largest value of a counter of a tile */
 };
 
 typedef struct { const uint8_t *bits, *codes; uint16_t hits, used; } Sparse;
@@ -27,10 +27,10 @@ struct Count {
     void *out; /* (pixel, code) of uint16 or uint32 */
     int wide;
     int mode;
-    uint8_t *done;   /* (tile,): tiles whose counts are in `out`; others only are added */
+    uint8_t *done;   /* (tile,): tiles that are already in `out`; only the others are added */
     uint16_t *tile, *rows[TILE]; /* counters of the pixels at hand; where each pixel's begin */
-    uint16_t *narrow; /* (pixel of a chunk, NARROW) */
-    int spread;       /* codes were found not to fit a narrow tile */
+    uint16_t *window; /* (pixel of a chunk, WINDOW_CODES): see window_counters.h */
+    int spread;       /* the codes of a chunk did not fit into a window */
     const uint8_t **dense;
     Sparse *sparse, *ordered;
     Piece *found, *sorted;
@@ -41,11 +41,11 @@ struct Count {
     Put *put;
 };
 
-/* The codes from bit `at` of p on, as many as one load gives. */
+/* The codes from bit `at` of p on, as many as one load holds. */
 INLINE uint64_t codes_at(const uint8_t *p, size_t at) { return load64(p + (at >> 3)) >> (at & 7); }
 
 /* `bits` bits of a word from bit `from` on. `fast` says that the processor has bit instructions;
- * it is a constant in each variant of the code, as are the others where this is called. */
+ * it is a constant in each variant of the code, as are `from` and `bits` at every call. */
 INLINE size_t field(uint64_t word, unsigned from, unsigned bits, int fast)
 {
 #ifdef X86_DISPATCH
@@ -131,7 +131,7 @@ static void put_with_avx2(Count *count, Seen seen, size_t first, unsigned pixels
 {
     put_tile(count, seen, first, pixels, done);
 }
-/* for narrow tiles; lines of wide ones are read faster by halves */
+/* for windows only: 256-bit loads are faster for whole rows */
 AVX512 static void put_with_avx512(Count *count, Seen seen, size_t first, unsigned pixels,
                                    uint8_t *done)
 {
@@ -139,8 +139,8 @@ AVX512 static void put_with_avx512(Count *count, Seen seen, size_t first, unsign
 }
 #endif
 
-/* Sort the frames' payloads of one chunk by kind. Entries are checked again: they come through
- * Python, and the bytes may belong to a buffer that somebody writes to. */
+/* Sort the frames' payloads of one chunk by kind. Entries are checked again, because
+ * they come through Python and the bytes may belong to a buffer that is being written to. */
 static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
 {
     const uint64_t *entries = count->chunks + chunk * count->stride;
@@ -174,7 +174,7 @@ static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
     return 1;
 }
 
-/* The rows of a tile's pixels are fetched while it is counted, some lines with each frame. */
+/* The rows of a tile are prefetched while the tile is counted, a few lines with each frame. */
 typedef struct { const uint8_t *at, *end; size_t lines; } Rows;
 
 INLINE Rows rows_ahead(const Count *count, size_t first, unsigned pixels, size_t steps)
@@ -191,8 +191,8 @@ INLINE void fetch_rows(Rows *rows)
         PREFETCH_ROW(rows->at);
 }
 
-/* Bytes that the next tile needs are fetched while this one is counted: all frames of a tile lie
- * between, enough for the slowest memory. */
+/* The payload bytes of the next tile are prefetched while this one is counted: the time for all
+ * frames of a tile is long enough for the slowest memory. */
 INLINE void count_dense_tile(Count *count, size_t first, unsigned at, unsigned pixels,
                              const unsigned bits, const int fast)
 {
@@ -207,8 +207,8 @@ INLINE void count_dense_tile(Count *count, size_t first, unsigned at, unsigned p
     }
 }
 
-/* Frames are taken in order of their hits in this tile: a loop whose length changes from frame to
- * frame costs more in wrong guesses of the processor than in counting. */
+/* Frames are sorted by their hits in this tile: if the length of the loop changed from frame to
+ * frame, mispredicted branches would cost more than counting. */
 INLINE unsigned count_sparse_tile(Count *count, size_t first, unsigned at, unsigned pixels,
                                   const unsigned bits, const int fast)
 {
@@ -219,7 +219,7 @@ INLINE unsigned count_sparse_tile(Count *count, size_t first, unsigned at, unsig
         Sparse *sparse = &count->sparse[i];
         uint64_t map = load64(sparse->bits + at / 8) & inside;
         unsigned hits = POPCOUNT(map);
-        if (hits > (unsigned)(sparse->hits - sparse->used)) /* never more than the word says */
+        if (hits > (unsigned)(sparse->hits - sparse->used)) /* never more than announced */
             hits = (unsigned)(sparse->hits - sparse->used);
         count->found[i] = (Piece){sparse->codes, map, sparse->used * bits, hits};
         sparse->used = (uint16_t)(sparse->used + hits);

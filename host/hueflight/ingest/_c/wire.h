@@ -7,9 +7,9 @@
 #include <string.h>
 
 #if defined(__x86_64__)
-#define X86_DISPATCH 1 /* variants for newer processors, chosen at run time */
+#define X86_DISPATCH 1 /* variants for newer processors, selected at run time */
 #include <immintrin.h>
-#if defined(__clang__) /* which has no word for it */
+#if defined(__clang__) /* clang has no such option */
 #define WIDEST_VECTORS
 #else
 #define WIDEST_VECTORS ",prefer-vector-width=512"
@@ -21,13 +21,13 @@
 #endif
 
 #if !defined(__GNUC__) /* clang defines it too */
-#error "the kernels need gcc or clang; without them the NumPy twin is used"
+#error "the kernels need gcc or clang; without them the NumPy reference implementation is used"
 #endif
 #define INLINE static inline __attribute__((always_inline))
-#define PREFETCH_NOW(p) __builtin_prefetch(p)       /* into the first cache, for soon */
-#define PREFETCH(p) __builtin_prefetch(p, 0, 2) /* into the second, for later */
-#define PREFETCH_ROW(p) __builtin_prefetch(p, 1, 2) /* there, to be written to */
-#define ONE_BY_ONE() __asm__("" : : : "memory") /* no joining of what is stored before and after */
+#define PREFETCH_NOW(p) __builtin_prefetch(p)       /* into the level-1 cache, for immediate use */
+#define PREFETCH(p) __builtin_prefetch(p, 0, 2) /* into level 2, for later use */
+#define PREFETCH_ROW(p) __builtin_prefetch(p, 1, 2) /* into level 2, for writing */
+#define ONE_BY_ONE() __asm__("" : : : "memory") /* keep the compiler from merging adjacent stores */
 #define LOWEST_BIT(m) ((unsigned)__builtin_ctzll(m))
 #define POPCOUNT(m) ((unsigned)__builtin_popcountll(m))
 
@@ -50,7 +50,7 @@ INLINE uint32_t load32(const uint8_t *p)
 }
 INLINE uint64_t load64(const uint8_t *p) { return load32(p) | (uint64_t)load32(p + 4) << 32; }
 
-/* What this processor has; set by start_kernels. */
+/* Instruction sets of this processor; set by start_kernels. */
 static int has_crc_instruction, has_bit_instructions, has_avx2, has_avx512;
 
 #endif

@@ -1,16 +1,16 @@
-/* Narrow tiles: of chunks with few hits whose codes lie close together, as behind a gate, only a
- * window of codes is counted, for all pixels of the chunk at once: a cache line for each, and so
- * much of the table. */
+/* Window counters: in a chunk with few hits whose codes lie close together, as behind a time gate,
+ * only a window of codes is counted, for all pixels of the chunk at once. This touches one cache
+ * line of counters and a few lines of the table for each pixel. */
 enum {
-    NARROW = ROWS_NARROW, /* codes of a narrow tile: a cache line for each pixel */
-    FEW = 16,    /* a narrow tile is for one pixel in so many with a photon */
-    GUESS = 64,  /* hits by which a narrow tile is placed */
-    ROWS_KEPT = 512 /* rows of the table of which the second cache keeps what is fetched ahead */
+    WINDOW_CODES = ROWS_WINDOW, /* codes of a window: a cache line for each pixel */
+    FEW = 16,    /* a window is used if at most one pixel in FEW has a photon */
+    GUESS = 64,  /* hits from which the place of the window is estimated */
+    ROWS_KEPT = 512 /* rows whose prefetched lines still fit into the level-2 cache */
 };
 
-/* Where a narrow tile should begin so that it holds the codes of the first hits with some room
- * before them, or -1 if it can't. */
-INLINE int narrow_from(const Count *count, const unsigned bits, const int fast)
+/* First code of a window that holds the codes of the first hits, centred on them, or -1 if they are
+ * too far apart. */
+INLINE int window_start(const Count *count, const unsigned bits, const int fast)
 {
     size_t least = (size_t)1 << bits, most = 0, seen = 0;
     for (size_t i = 0; i < count->sparse_count && seen < GUESS; i++)
@@ -20,13 +20,13 @@ INLINE int narrow_from(const Count *count, const unsigned bits, const int fast)
             least = code < least ? code : least;
             most = code > most ? code : most;
         }
-    if (!seen || most - least >= NARROW)
+    if (!seen || most - least >= WINDOW_CODES)
         return -1;
-    const size_t room = (NARROW - 1 - (most - least)) / 2;
+    const size_t room = (WINDOW_CODES - 1 - (most - least)) / 2;
     return (int)(least > room ? (least - room) & ~(size_t)7 : 0);
 }
 
-/* Order the frames by hits, so that loops over them have a constant length for long. */
+/* Sort the frames by hits, so that the length of the loop over hits rarely changes. */
 INLINE void order_by_hits(Count *count)
 {
     uint32_t place[MAX_RUN / FEW + 2] = {0};
@@ -42,7 +42,7 @@ INLINE void order_by_hits(Count *count)
         count->ordered[place[count->sparse[i].hits]++] = count->sparse[i];
 }
 
-/* The lines of the table that a narrow tile will be added to are fetched while it is counted, some
+/* The lines of the table that the window will be added to are prefetched while it is counted, a few
  * with each frame. */
 typedef struct { const uint8_t *at, *end; size_t apart, window, window_end, rows; } Lines;
 
@@ -51,7 +51,7 @@ INLINE Lines lines_ahead(const Count *count, size_t first, unsigned pixels, size
     const unsigned word = count->wide ? 4 : 2;
     const size_t apart = (size_t)word << count->code_bits;
     const uint8_t *at = (const uint8_t *)count->out + first * apart;
-    return (Lines){at, at + pixels * apart, apart, from * word, (from + NARROW) * word - 1,
+    return (Lines){at, at + pixels * apart, apart, from * word, (from + WINDOW_CODES) * word - 1,
                    pixels <= ROWS_KEPT ? pixels / (count->sparse_count + 1) + 1 : 0};
 }
 
@@ -64,8 +64,8 @@ INLINE void fetch_lines(Lines *lines)
     }
 }
 
-/* Write down the pixels of a bitmap word's ones, in order; how many there are. Four are written
- * whatever the word has, since guessing how many it has goes wrong too often. */
+/* Store the pixels of the ones in a bitmap word, in order, and return their number. Four are always
+ * written, because a branch on their number would often be mispredicted. */
 INLINE unsigned pixels_of(uint64_t map, unsigned first, uint16_t *found)
 {
     const uint64_t top = (uint64_t)1 << 63;
@@ -79,14 +79,14 @@ INLINE unsigned pixels_of(uint64_t map, unsigned first, uint16_t *found)
     return ones;
 }
 
-INLINE size_t count_near(uint16_t *narrow, unsigned pixel, size_t code)
+INLINE size_t count_near(uint16_t *window, unsigned pixel, size_t code)
 {
-    narrow[pixel * NARROW + code % NARROW]++;
+    window[pixel * WINDOW_CODES + code % WINDOW_CODES]++;
     return code;
 }
 
-/* Count a chunk's codes from `from` on; its counters stay in the first cache. Returns whether all
- * lay there. */
+/* Count the codes of a chunk from `from` on; the counters stay in the level-1 cache. Return whether
+ * all codes lay in the window. */
 INLINE int count_window(Count *count, Lines lines, unsigned pixels, size_t from,
                         const unsigned bits, const int fast)
 {
@@ -116,24 +116,24 @@ INLINE int count_window(Count *count, Lines lines, unsigned pixels, size_t from,
 #pragma GCC unroll 8
             for (unsigned hit = 0; hit < per_load; hit++) {
                 const size_t code = field(codes, hit * bits, bits, fast) - from;
-                spread |= count_near(count->narrow, *at++, code);
+                spread |= count_near(count->window, *at++, code);
             }
         }
         uint64_t codes = hits ? codes_at(p, bit) : 0;
         for (; hits; hits--, codes >>= bits)
-            spread |= count_near(count->narrow, *at++, field(codes, 0, bits, fast) - from);
+            spread |= count_near(count->window, *at++, field(codes, 0, bits, fast) - from);
     }
-    return spread < NARROW;
+    return spread < WINDOW_CODES;
 }
 
 #ifdef X86_DISPATCH
-/* The same with vectors: the ones of a bitmap word are found at once and 32 codes unpacked at once;
- * both are written one behind the other for some frames, and then all are counted, so that no loop
- * has the length of one frame's hits. */
+/* The same with vectors: the ones of a bitmap word are found in one step, and 32 codes are unpacked
+ * in one step. Both are collected over several frames and then counted together, so that no loop
+ * depends on the number of hits in a single frame. */
 enum {
     LANES = 32,   /* hits in a vector */
     LISTED = 512, /* hits that are counted together */
-    WIDEST = 65536 / NARROW /* pixels of a chunk whose counters 16 bits can tell apart */
+    WIDEST = 65536 / WINDOW_CODES /* pixels of a chunk whose counters 16 bits can tell apart */
 };
 typedef struct {
     uint16_t pixel[LISTED + WIDEST + 2 * LANES], code[LISTED + WIDEST / FEW + 1 + LANES];
@@ -145,11 +145,11 @@ static const uint8_t IOTA[64] = {
     44, 45, 46, 47, 48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63,
 };
 
-/* Write down the pixels of a bitmap word's ones, of which `first` is that of bit 0; how many. */
+/* Store the pixels of the ones in a bitmap word (bit 0 is pixel `first`); return their number. */
 AVX512_INLINE unsigned list_pixels(uint64_t map, __m512i first, uint16_t *pixel)
 {
     __m512i found = _mm512_setzero_si512();
-    __asm__("" : "+v"(found)); /* or compressing would wait for what the register held before */
+    __asm__("" : "+v"(found)); /* removes a false dependency on the register's old value */
     found = _mm512_mask_compress_epi8(found, map, _mm512_loadu_si512(IOTA));
     const unsigned ones = POPCOUNT(map);
     const __m256i some = _mm256_cvtepu8_epi16(_mm512_castsi512_si128(found));
@@ -163,7 +163,7 @@ AVX512_INLINE unsigned list_pixels(uint64_t map, __m512i first, uint16_t *pixel)
     return ones;
 }
 
-/* Write down `hits` codes, packed from p on. A code's bits lie in three bytes. */
+/* Store `hits` codes, packed from p on. The bits of a code lie within three bytes. */
 AVX512_INLINE void list_codes(const uint8_t *p, unsigned hits, unsigned bits, uint16_t *code)
 {
     const __m512i lane = _mm512_cvtepu8_epi16(_mm256_loadu_si256((const __m256i *)IOTA));
@@ -183,10 +183,11 @@ AVX512_INLINE void list_codes(const uint8_t *p, unsigned hits, unsigned bits, ui
     }
 }
 
-/* Count what is written down; returns whether all codes lay in the window. */
-AVX512_INLINE int count_listed(uint16_t *narrow, Listed *listed, size_t from)
+/* Count the collected hits; return whether all codes lay in the window. */
+AVX512_INLINE int count_listed(uint16_t *window, Listed *listed, size_t from)
 {
-    const __m512i last = _mm512_set1_epi16(NARROW - 1), start = _mm512_set1_epi16((short)from);
+    const __m512i last = _mm512_set1_epi16(WINDOW_CODES - 1);
+    const __m512i start = _mm512_set1_epi16((short)from);
     __mmask32 spread = 0;
     for (unsigned hit = 0; hit < listed->hits; hit += LANES) {
         const __m512i code = _mm512_sub_epi16(_mm512_loadu_si512(listed->code + hit), start);
@@ -198,7 +199,7 @@ AVX512_INLINE int count_listed(uint16_t *narrow, Listed *listed, size_t from)
     }
 #pragma GCC unroll 8
     for (unsigned hit = 0; hit < listed->hits; hit++)
-        narrow[listed->pixel[hit]]++;
+        window[listed->pixel[hit]]++;
     listed->hits = 0;
     return !spread;
 }
@@ -230,22 +231,22 @@ AVX512 static int count_window_with_avx512(Count *count, Lines lines, unsigned p
         list_codes(sparse->codes, hits, count->code_bits, listed.code + listed.hits);
         listed.hits += hits;
         if (listed.hits >= LISTED)
-            fits &= count_listed(count->narrow, &listed, from);
+            fits &= count_listed(count->window, &listed, from);
     }
-    return fits & count_listed(count->narrow, &listed, from);
+    return fits & count_listed(count->window, &listed, from);
 }
 #endif
 
-/* Count a chunk in a narrow tile and add that to the table, or do nothing and return 0 if its codes
- * don't lie together. */
-INLINE int count_narrow(Count *count, size_t first, unsigned pixels, uint8_t *done,
+/* Count a chunk with window counters and add them to the table, or do nothing and return 0 if its
+ * codes are too far apart. */
+INLINE int count_in_window(Count *count, size_t first, unsigned pixels, uint8_t *done,
                         const unsigned bits, const int fast)
 {
-    const int start = count->most_hits <= pixels / FEW + 1 ? narrow_from(count, bits, fast) : -1;
+    const int start = count->most_hits <= pixels / FEW + 1 ? window_start(count, bits, fast) : -1;
     if (start < 0)
         return 0;
     const size_t from = (size_t)start, codes = (size_t)1 << bits;
-    const size_t to = from + NARROW < codes ? from + NARROW : codes;
+    const size_t to = from + WINDOW_CODES < codes ? from + WINDOW_CODES : codes;
     const Lines lines = lines_ahead(count, first, pixels, from);
     Put *put = count->put;
     int fits;
@@ -257,10 +258,10 @@ INLINE int count_narrow(Count *count, size_t first, unsigned pixels, uint8_t *do
 #endif
         fits = count_window(count, lines, pixels, from, bits, fast);
     for (unsigned at = 0; fits && at < pixels; at += TILE)
-        put(count, (Seen){count->narrow + at * NARROW, NARROW, from, to}, first + at,
+        put(count, (Seen){count->window + at * WINDOW_CODES, WINDOW_CODES, from, to}, first + at,
             pixels - at < TILE ? pixels - at : TILE, done++);
     for (unsigned pixel = 0; pixel < pixels; pixel++)
-        memset(count->narrow + pixel * NARROW, 0, NARROW * sizeof *count->narrow);
-    count->spread = !fits; /* then the next chunks' codes will hardly be closer */
+        memset(count->window + pixel * WINDOW_CODES, 0, WINDOW_CODES * sizeof *count->window);
+    count->spread = !fits; /* the codes of the next chunks are unlikely to be closer */
     return fits;
 }

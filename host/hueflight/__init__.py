@@ -1,23 +1,126 @@
-"""Host software of Hueflight: from photon codes to depth and reflectance in every band."""
+"""Host software of Hueflight: from photon codes to depth and reflectance in every band.
 
-from hueflight.calibration import Calibration, calibrate
-from hueflight.color import color_picture
-from hueflight.errors import HueflightError
-from hueflight.model.instrument import Instrument
-from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
-from hueflight.reconstruction.interleaved import reconstruct_interleaved
-from hueflight.reconstruction.reconstruct import reconstruct
-from hueflight.reconstruction.uncertainty import reflectance_interval
+The names below are loaded when they are first used, so that importing the package costs next to
+nothing.
+"""
+
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run time
+    from hueflight.analysis import compare
+    from hueflight.batch import reconstruct_file, reconstruct_many
+    from hueflight.calibration import Calibration, calibrate
+    from hueflight.color import color_picture
+    from hueflight.errors import HueflightError
+    from hueflight.export import write as write_image
+    from hueflight.importers import read_counts, read_image
+    from hueflight.importers.captures import Capture, read_capture, write_counts
+    from hueflight.model.instrument import Instrument
+    from hueflight.model.schedules import Schedule
+    from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
+    from hueflight.reconstruction.interleaved import reconstruct_interleaved
+    from hueflight.reconstruction.interleaved import (
+        reconstruct_interleaved as reconstruct_alternated,
+    )
+    from hueflight.reconstruction.packets import reconstruct_packets
+    from hueflight.reconstruction.quality import Quality
+    from hueflight.reconstruction.reconstruct import reconstruct
+    from hueflight.reconstruction.uncertainty import reflectance_interval
+    from hueflight.recording import open_recording
+
+    __version__: str
+
+#: module of each public name, and the name there where it is another one
+_HOME = {
+    "Calibration": "hueflight.calibration",
+    "Capture": "hueflight.importers.captures",
+    "HueflightError": "hueflight.errors",
+    "Instrument": "hueflight.model.instrument",
+    "Quality": "hueflight.reconstruction.quality",
+    "Schedule": "hueflight.model.schedules",
+    "calibrate": "hueflight.calibration",
+    "color_picture": "hueflight.color",
+    "compare": "hueflight.analysis",
+    "depth_bound": "hueflight.reconstruction.bounds",
+    "open_recording": "hueflight.recording",
+    "read_capture": "hueflight.importers.captures",
+    "read_counts": "hueflight.importers",
+    "read_image": "hueflight.importers",
+    "reconstruct": "hueflight.reconstruction.reconstruct",
+    "reconstruct_alternated": "hueflight.reconstruction.interleaved:reconstruct_interleaved",
+    "reconstruct_file": "hueflight.batch",
+    "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
+    "reconstruct_many": "hueflight.batch",
+    "reconstruct_packets": "hueflight.reconstruction.packets",
+    "reflectance_bound": "hueflight.reconstruction.bounds",
+    "reflectance_interval": "hueflight.reconstruction.uncertainty",
+    "write_counts": "hueflight.importers.captures",
+    "write_image": "hueflight.export:write",
+}
+
+#: packages that are attributes without being imported by name
+_PACKAGES = (
+    "analysis",
+    "batch",
+    "calibration",
+    "color",
+    "export",
+    "importers",
+    "ingest",
+    "model",
+    "reconstruction",
+    "recording",
+    "simulator",
+)
 
 __all__ = [
     "Calibration",
+    "Capture",
     "HueflightError",
     "Instrument",
+    "Quality",
+    "Schedule",
+    "__version__",
     "calibrate",
     "color_picture",
+    "compare",
     "depth_bound",
+    "open_recording",
+    "read_capture",
+    "read_counts",
+    "read_image",
     "reconstruct",
+    "reconstruct_alternated",  # the name until 0.1
+    "reconstruct_file",
     "reconstruct_interleaved",
+    "reconstruct_many",
+    "reconstruct_packets",
     "reflectance_bound",
     "reflectance_interval",
+    "write_counts",
+    "write_image",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first used (PEP 562)."""
+    value: Any
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value = version("hueflight")
+    elif name in _HOME:
+        module, _, there = _HOME[name].partition(":")
+        value = getattr(_import_module(module), there or name)
+    elif name in _PACKAGES:
+        return _import_module(f"hueflight.{name}")
+    else:
+        raise AttributeError(f"module 'hueflight' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Names for `dir` and tab completion."""
+    return sorted({*globals(), *__all__, *_PACKAGES})

@@ -1,4 +1,4 @@
-"""Many captures: one task each, resumable, failures isolated."""
+"""Many captures into a folder of images: one task each, resumable, failures isolated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from hueflight.batch.cluster import DaskCluster
-from hueflight.batch.job import Job, Outcome, sweep
+from hueflight.batch.job import Job, Outcome, capture_of, key_of, sweep
 from hueflight.batch.local import LocalWorkers
 from hueflight.calibration import Calibration
 from hueflight.errors import BatchError
@@ -22,42 +22,63 @@ from hueflight.files.atomic import staged
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.recording.layout import split_segment_path
 
-CALIBRATION = "calibration.zarr"  #: where a calibration given as an object is kept, in the results
-REPORT = "batch.json"  #: what became of every capture
+CALIBRATION = "calibration.zarr"  #: name of a calibration given as an object, among the results
+REPORT = "batch.json"  #: name of the outcomes of all captures
 LOCK = ".batch.lock"
 
 
 class Executor(Protocol):
-    """Where work is done: `LocalWorkers`, `DaskCluster`, or what you bring."""
+    """Where work is done: `LocalWorkers`, `DaskCluster`, or an own implementation."""
 
     def run(self, job: Job, captures: Sequence[str], /) -> Iterator[Outcome]:
-        """Outcomes of all captures, in any order."""
+        """Do a job for all captures.
+
+        Parameters
+        ----------
+        job : Job
+            What is done to each capture, by `hueflight.batch.job.work`.
+        captures : sequence of str
+            Absolute paths of the captures.
+
+        Yields
+        ------
+        Outcome
+            One for each capture, in any order.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class BatchReport:
-    """What became of a batch.
+    """Outcomes of a batch.
 
     Attributes
     ----------
-    outcomes : of all captures, in the order in which they were given.
+    outcomes : tuple of Outcome
+        One for each capture, in the order in which they were given.
     """
 
     outcomes: tuple[Outcome, ...]
 
     @property
     def failed(self) -> tuple[Outcome, ...]:
-        """Those that could not be reconstructed."""
+        """Outcomes of the captures that could not be reconstructed."""
         return tuple(outcome for outcome in self.outcomes if outcome.state == "failed")
 
     @property
     def peak_memory_bytes(self) -> int:
-        """The most memory that any one worker held."""
+        """Most memory that any one worker held."""
         return max((outcome.peak_memory_bytes for outcome in self.outcomes), default=0)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON.
+
+        Returns
+        -------
+        dict
+            Numbers of captures that are ``done``, ``kept`` and ``failed``,
+            ``peak_memory_bytes``, and all ``outcomes``.
+        """
         counts = Counter(outcome.state for outcome in self.outcomes)
         return {
             "done": counts["done"],
@@ -78,30 +99,46 @@ def reconstruct_many(
     scheduler: str | None = None,
     executor: Executor | None = None,
     options: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BatchReport:
     """Reconstruct many captures, each into a Zarr store ``OUT/NAME.zarr``.
 
     What an earlier run has done is not done again, unless capture, calibration, options or
     software have changed since. Captures that fail are listed in the result and in
-    ``OUT/batch.json``; they don't stop the others.
+    ``OUT/batch.json``; they do not stop the others.
 
     Parameters
     ----------
-    captures : recordings (``.mcap``) or counts (``.npz``, ``.npy``, ``.h5``, …).
-    out : folder for the results; made if it is not there.
-    calibration : of the same instrument; an object is kept as ``OUT/calibration.zarr``.
-    workers : local processes, by default as many as there are cores.
-    scheduler : address of a Dask scheduler, instead of local processes.
-    executor : anything else that runs tasks, instead of either.
-    options : keywords of `reconstruct`, such as ``{"method": "joint"}``.
-    progress : told after each capture.
+    captures : iterable of str or Path
+        Recordings (``.mcap``) or counts (``.npz``, ``.npy``, ``.h5``, …).
+    out : str or Path
+        Folder for the results; it is made if it does not exist.
+    calibration : Calibration, str or Path
+        Calibration of the same instrument; an object is kept as ``OUT/calibration.zarr``.
+    workers : int, optional
+        Number of local processes; by default one for each processor core.
+    scheduler : str, optional
+        Address of a Dask scheduler, instead of local processes.
+    executor : Executor, optional
+        Anything else that does the work, instead of either.
+    options : mapping, optional
+        Keywords of `reconstruct`, such as ``{"method": "joint"}``.
+    overwrite : bool, default False
+        Whether to replace stores of the same name that were made from other captures.
+    progress : Progress, optional
+        Told after each capture.
+
+    Returns
+    -------
+    BatchReport
+        The outcome of each capture.
 
     Raises
     ------
     BatchError
-        If there are no captures, two would have the same result, the folder is in use by
-        another batch, or no worker can be had.
+        If there are no captures, two would have the same result, a store of that name was made
+        from another capture, the folder is in use by another batch, or there is no worker.
     CalibrationError
         If the calibration can't be read.
 
@@ -123,6 +160,8 @@ def reconstruct_many(
         executor = local if scheduler is None else DaskCluster(scheduler)
     with _sole_user(out):
         job = _job(calibration, out, options or {})
+        if not overwrite:
+            _refuse_other_captures(job, chosen, _earlier_captures(out))
         for capture in chosen:
             sweep(job.store(capture))
         running = executor.run(job, chosen)
@@ -138,8 +177,37 @@ def reconstruct_many(
     return report
 
 
+def _earlier_captures(out: Path) -> dict[str, str]:
+    """Captures of the earlier batch in this folder by the name of their store."""
+    try:
+        report = json.loads((out / REPORT).read_text(encoding="utf-8"))
+        return {Path(each["store"]).name: each["capture"] for each in report["outcomes"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _refuse_other_captures(job: Job, captures: Sequence[str], earlier: Mapping[str, str]) -> None:
+    """Refuse to replace stores that were made from other captures of the same name."""
+    for capture in captures:
+        store = job.store(capture)
+        if not store.exists():
+            continue
+        made_from = capture_of(store) or earlier.get(store.name)
+        if made_from == capture:
+            continue
+        try:
+            key = job.key(capture)
+        except OSError:  # there is no such capture: it fails and replaces nothing
+            continue
+        if key_of(store) != key:
+            raise BatchError(
+                f"{store} was made from {made_from or 'another capture'}, not from {capture}: use "
+                "another folder for the results, or allow overwriting"
+            )
+
+
 def _whole_captures(paths: list[Path]) -> list[str]:
-    """Absolute paths of the captures; later segments of a recording go with its first."""
+    """Absolute paths of the captures; later segments of a recording belong to its first."""
     given = {path.absolute() for path in paths}
     chosen: dict[str, str] = {}
     for path in dict.fromkeys(path.absolute() for path in paths):

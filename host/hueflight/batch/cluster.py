@@ -21,16 +21,29 @@ class DaskCluster:
 
     Attributes
     ----------
-    address : of the scheduler, such as ``tcp://head-node:8786``.
+    address : str
+        Address of the scheduler, such as ``tcp://head-node:8786``.
     """
 
     address: str
 
     def run(self, job: Job, captures: Sequence[str], /) -> Iterator[Outcome]:
-        """Outcomes in the order in which they come.
+        """Do a job for all captures.
 
         The scheduler begins a capture again when a worker dies on it, as often as its setting
         `distributed.scheduler.allowed-failures` says (three times by default).
+
+        Parameters
+        ----------
+        job : Job
+            What is done to each capture.
+        captures : sequence of str
+            Absolute paths of the captures.
+
+        Yields
+        ------
+        Outcome
+            One for each capture, in the order in which they are finished.
 
         Raises
         ------
@@ -46,7 +59,7 @@ class DaskCluster:
                 "and workers with `dask worker ADDRESS`"
             ) from error
         with client, client.as_current():
-            # not pure: what an earlier task has done may have gone from the disk since
+            # not pure: the result of an earlier task may have been deleted from the disk since
             futures = dict(
                 zip(client.map(work, captures, job=job, pure=False), captures, strict=True)
             )

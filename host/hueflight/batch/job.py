@@ -1,4 +1,4 @@
-"""What is done to one capture: read, reconstruct, write a store; kept where it is done already."""
+"""What is done to one capture of a batch: nothing if its image is there already."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+from hueflight.batch.one_file import reconstruct_file
 from hueflight.calibration import Calibration
 from hueflight.errors import FileFormatError, HueflightError
-from hueflight.export.description import calibration_origin, describe
-from hueflight.export.stores import write_zarr
+from hueflight.export.description import calibration_origin
 from hueflight.files.atomic import PARTIAL_SUFFIX
 from hueflight.files.checksums import check_seal
-from hueflight.importers.captures import read_capture
-from hueflight.reconstruction.reconstruct import reconstruct
 from hueflight.recording.layout import segment_files
 
-KEY = "task"  #: attribute of a store: what it was made from, and how
+KEY = "task"  #: attribute of a store: digest of what it was made from, and how
+CAPTURE_PATH = "capture_path"  #: attribute of a store: absolute path of its capture
 
 
 @dataclass(frozen=True)
@@ -33,11 +32,16 @@ class Job:
 
     Attributes
     ----------
-    calibration : path of the calibration, which every worker can read.
-    calibration_digest : of its content; a worker must find the same.
-    out : folder for the results, which every worker can write.
-    options : keywords of `reconstruct`.
-    software : version that makes the results.
+    calibration : str
+        Path of the calibration, which every worker can read.
+    calibration_digest : str
+        Digest of the calibration's content; a worker must find the same.
+    out : str
+        Folder for the results, which every worker can write.
+    options : mapping of str to Any
+        Keywords of `reconstruct`.
+    software : str
+        Version of the software that makes the results.
     """
 
     calibration: str
@@ -47,11 +51,33 @@ class Job:
     software: str
 
     def store(self, capture: str) -> Path:
-        """Where the capture's image goes."""
+        """Path of the image of a capture.
+
+        Parameters
+        ----------
+        capture : str
+            Path of the capture.
+
+        Returns
+        -------
+        Path
+            A Zarr store in the folder for the results.
+        """
         return Path(self.out) / f"{Path(capture).stem}.zarr"
 
     def key(self, capture: str) -> str:
-        """Digest of everything that the capture's image depends on."""
+        """Digest of everything that the image of a capture depends on.
+
+        Parameters
+        ----------
+        capture : str
+            Path of the capture.
+
+        Returns
+        -------
+        str
+            Equal as long as capture, calibration, options and software are.
+        """
         files = [
             (file.name, file.stat().st_size, file.stat().st_mtime_ns)
             for file in capture_files(Path(capture))
@@ -66,16 +92,29 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one capture.
+    """Result of one capture of a batch.
 
     Attributes
     ----------
-    capture, store : paths.
-    state : ``"done"`` now, ``"kept"`` from an earlier run, or ``"failed"``.
-    error : why it failed.
-    seconds : that it took.
-    worker : who did it; peak_memory_bytes : the most that worker has held so far.
-    attempts : how often it was begun; more than 1 where a worker died on it.
+    capture : str
+        Path of the capture.
+    store : str
+        Path of its image.
+    state : str
+        ``"done"`` if it was reconstructed now, ``"kept"`` if an earlier run had done it, or
+        ``"failed"``.
+    error : str or None
+        Why it failed.
+    seconds : float
+        Duration of the work, s.
+    worker : str
+        Which worker did it.
+    peak_memory_bytes : int
+        Most memory that this worker has held so far.
+    attempts : int
+        How often the capture was begun: more than once if a worker died on it.
+    summary : mapping of str to Any
+        Summary of the image, as `FileResult.summary` gives, if it was reconstructed now.
     """
 
     capture: str
@@ -86,24 +125,54 @@ class Outcome:
     worker: str = ""
     peak_memory_bytes: int = 0
     attempts: int = field(default=1, compare=False)
+    summary: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain values for JSON.
+
+        Returns
+        -------
+        dict
+            All attributes by name.
+        """
         return asdict(self)
 
 
 def work(capture: str, job: Job) -> Outcome:
-    """Do one capture; what goes wrong with it is told, never raised."""
+    """Reconstruct one capture unless that was done already.
+
+    Parameters
+    ----------
+    capture : str
+        Path of the capture.
+    job : Job
+        What to do.
+
+    Returns
+    -------
+    Outcome
+        The result; an error is reported in it and never raised.
+    """
     start = time.perf_counter()
     store = job.store(capture)
     state: Literal["done", "kept", "failed"] = "failed"
     error = None
+    summary: Mapping[str, Any] = {}
     try:
         key = job.key(capture)
         if is_done(store, key):
             state = "kept"
         else:
-            _reconstruct(Path(capture), store, key, job)
+            sweep(store)
+            result = reconstruct_file(
+                capture,
+                store,
+                calibration=_calibration(job.calibration, job.calibration_digest),
+                options=job.options,
+                overwrite=True,
+                attributes={KEY: key, CAPTURE_PATH: str(Path(capture).absolute())},
+            )
+            summary = result.summary()
             state = "done"
     except HueflightError as failure:
         error = str(failure)
@@ -117,23 +186,88 @@ def work(capture: str, job: Job) -> Outcome:
         seconds=time.perf_counter() - start,
         worker=str(os.getpid()),
         peak_memory_bytes=peak_memory_bytes(),
+        summary=summary,
     )
 
 
 def is_done(store: Path, key: str) -> bool:
-    """Whether a whole store of that key is there; a damaged one is not done."""
+    """Tell whether a store with a key is there and intact.
+
+    Parameters
+    ----------
+    store : Path
+        The store.
+    key : str
+        As `Job.key` gives.
+
+    Returns
+    -------
+    bool
+        False also for a damaged store, so that it is made again.
+    """
+    if key_of(store) != key:
+        return False
     try:
-        attributes = json.loads((store / ".zattrs").read_text(encoding="utf-8"))
-        if attributes.get(KEY) != key:
-            return False
         check_seal(store)
-    except (OSError, ValueError, FileFormatError):
+    except (OSError, FileFormatError):
         return False
     return True
 
 
+def key_of(store: Path) -> str | None:
+    """Key of a store that a batch made.
+
+    Parameters
+    ----------
+    store : Path
+        A Zarr store.
+
+    Returns
+    -------
+    str or None
+        As `Job.key` gives, or None if no batch made the store.
+    """
+    return _attributes(store).get(KEY)
+
+
+def capture_of(store: Path) -> str | None:
+    """Path of the capture that a store was made from.
+
+    Parameters
+    ----------
+    store : Path
+        A Zarr store.
+
+    Returns
+    -------
+    str or None
+        Absolute path, or None if the store does not say: no batch made it, or one of version 0.1.
+    """
+    return _attributes(store).get(CAPTURE_PATH)
+
+
+def _attributes(store: Path) -> dict[str, Any]:
+    """Attributes of a store; empty if it has none that can be read."""
+    try:
+        attributes = json.loads((store / ".zattrs").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return attributes if isinstance(attributes, dict) else {}
+
+
 def capture_files(capture: Path) -> list[Path]:
-    """All files of a capture: the segments of a recording, the parts of a store."""
+    """All files of a capture.
+
+    Parameters
+    ----------
+    capture : Path
+        Path of a recording's first file, of a store or of a file.
+
+    Returns
+    -------
+    list of Path
+        The segments of a recording, the parts of a store, or the file itself.
+    """
     if capture.suffix == ".mcap":
         finished, _ = segment_files(capture)
         return finished or [capture]
@@ -143,13 +277,25 @@ def capture_files(capture: Path) -> list[Path]:
 
 
 def sweep(store: Path) -> None:
-    """Remove what a killed worker left of this store."""
+    """Remove what a killed worker left of a store.
+
+    Parameters
+    ----------
+    store : Path
+        The store that it was writing.
+    """
     for partial in store.parent.glob(f".{store.name}.*{PARTIAL_SUFFIX}"):
         shutil.rmtree(partial, ignore_errors=True)
 
 
 def peak_memory_bytes() -> int:
-    """The most memory that this process has held, 0 where the system doesn't say."""
+    """Most memory that this process has held.
+
+    Returns
+    -------
+    int
+        Bytes; 0 where the system does not say.
+    """
     try:
         import resource
     except ImportError:  # not on Windows
@@ -158,21 +304,12 @@ def peak_memory_bytes() -> int:
     return peak if sys.platform == "darwin" else peak * 1024
 
 
-def _reconstruct(capture: Path, store: Path, key: str, job: Job) -> None:
-    calibration = _calibration(job.calibration, job.calibration_digest)
-    taken = read_capture(capture, calibration.instrument)
-    image = reconstruct(taken.counts, calibration, **job.options)
-    described = describe(image, calibration, **{"capture": capture.name, KEY: key})
-    sweep(store)
-    write_zarr(described, store, overwrite=True)
-
-
 @lru_cache(maxsize=1)
 def _calibration(path: str, digest: str) -> Calibration:
-    """The calibration, read once per worker; `digest` makes a changed one be read again."""
+    """Calibration, read once per worker; one that has changed has another `digest`."""
     calibration = Calibration.load(path)
     if calibration_origin(calibration)["digest"] != digest:
         raise HueflightError(
-            f"calibration {path} is not the one that this batch was begun with: start again"
+            f"calibration {path} has changed since this batch was started: start it again"
         )
     return calibration

@@ -1,4 +1,4 @@
-"""Local worker processes, each with one capture at a time; one that dies costs only time."""
+"""Local worker processes, each with one capture at a time; one that dies is replaced."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ ONE_THREAD: dict[str, str] = {
 
 @dataclass
 class _Worker:
-    """A process and what it is at."""
+    """A process and the capture that it works on."""
 
     process: BaseProcess
-    line: Any  # a Connection; its class differs between systems
+    pipe: Any  # a Connection; its class differs between systems
     capture: str | None = None
 
 
@@ -39,8 +39,10 @@ class LocalWorkers:
 
     Attributes
     ----------
-    workers : how many.
-    attempts : how often a capture is begun at most, if workers die on it.
+    workers : int
+        Number of processes.
+    attempts : int
+        How often a capture is begun at most, if workers die on it.
     """
 
     workers: int
@@ -51,10 +53,22 @@ class LocalWorkers:
             raise BatchError(f"workers = {self.workers}: at least 1 is needed")
 
     def run(self, job: Job, captures: Sequence[str], /) -> Iterator[Outcome]:
-        """Outcomes in the order in which they come.
+        """Do a job for all captures.
 
         A worker that dies (killed, out of memory, a crash in a library) is replaced and its
-        capture begun again; a capture that outlives `attempts` workers has failed.
+        capture begun again; a capture on which `attempts` workers died has failed.
+
+        Parameters
+        ----------
+        job : Job
+            What is done to each capture.
+        captures : sequence of str
+            Absolute paths of the captures.
+
+        Yields
+        ------
+        Outcome
+            One for each capture, in the order in which they are finished.
         """
         waiting = deque((capture, 1) for capture in captures)
         begun: dict[str, int] = {}
@@ -67,9 +81,9 @@ class LocalWorkers:
                     if worker.capture is None and waiting:
                         worker.capture, attempt = waiting.popleft()
                         begun[worker.capture] = attempt
-                        with suppress(OSError):  # dead already, as is seen below
-                            worker.line.send(worker.capture)
-                for worker in _with_news(team):
+                        with suppress(OSError):  # it died; receiving finds out
+                            worker.pipe.send(worker.capture)
+                for worker in _ready(team):
                     yield from self._settle(worker, team, waiting, begun, job)
         finally:
             for worker in team:
@@ -83,10 +97,10 @@ class LocalWorkers:
         begun: dict[str, int],
         job: Job,
     ) -> Iterator[Outcome]:
-        """Take a worker's result, or see to what it leaves behind."""
+        """Take a worker's result, or start its capture again if it died."""
         capture = worker.capture
         try:
-            outcome: Outcome = worker.line.recv()
+            outcome: Outcome = worker.pipe.recv()
         except (EOFError, OSError):  # it died
             team.remove(worker)
             _stop(worker)
@@ -108,10 +122,10 @@ class LocalWorkers:
         yield replace(outcome, attempts=begun[outcome.capture])
 
 
-def _with_news(team: list[_Worker]) -> list[_Worker]:
+def _ready(team: list[_Worker]) -> list[_Worker]:
     """Workers that have sent something or died; waits for the first."""
-    ready = wait([worker.line for worker in team])
-    return [worker for worker in team if worker.line in ready]
+    ready = wait([worker.pipe for worker in team])
+    return [worker for worker in team if worker.pipe in ready]
 
 
 def _start(job: Job) -> _Worker:
@@ -121,21 +135,21 @@ def _start(job: Job) -> _Worker:
     process = context.Process(target=_serve, args=(theirs, job), daemon=True)
     with _environment(ONE_THREAD):
         process.start()
-    theirs.close()  # so that the worker's end is the only one, and its death is seen
+    theirs.close()  # the worker's end is then the only one: its death closes the pipe
     return _Worker(process, ours)
 
 
-def _serve(line: Any, job: Job) -> None:
-    """Life of a worker: captures in, outcomes out, until the other end closes."""
-    # Ctrl-C reaches the whole group; the parent decides what becomes of the workers
+def _serve(pipe: Any, job: Job) -> None:
+    """Receive captures and send outcomes until the other end of the pipe closes."""
+    # Ctrl-C reaches the whole process group; the parent stops the workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(EOFError, OSError):
         while True:
-            line.send(work(line.recv(), job))
+            pipe.send(work(pipe.recv(), job))
 
 
 def _stop(worker: _Worker) -> None:
-    worker.line.close()  # an idle worker takes this as the end and leaves by itself
+    worker.pipe.close()  # an idle worker then ends by itself
     if worker.capture is not None:
         worker.process.terminate()
     worker.process.join(timeout=5)

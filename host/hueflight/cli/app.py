@@ -1,66 +1,116 @@
-"""The application object, and what happens to errors."""
+"""The command line's entry point: commands by name, loaded when called; errors as messages."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
 
 from cyclopts import App
-from rich.console import Console
 
+from hueflight.cli.exit_codes import FAILED, INTERRUPTED
 from hueflight.errors import HueflightError
 
-EXIT_FAILED = 1  #: the command understood what was wanted and could not do it
-EXIT_INTERRUPTED = 130  #: Ctrl-C, as shells have it
+#: summary of each command; function NAME of module ``hueflight.cli.NAME`` runs it
+COMMANDS = {
+    "calibrate": "Make a calibration from captures of a flat target.",
+    "capture": "Record a capture from the camera.",
+    "demo": "Redraw the published figures from a simulated instrument, as a page with pictures.",
+    "export": "Write an image in a format that other tools open.",
+    "info": "Show what a recording holds.",
+    "reconstruct": "Reconstruct depth and reflectance in every band from one or many captures.",
+    "recover": "Save what is left of a damaged or unfinished recording.",
+    "serve": "Run the capture daemon: live page, HTTP interface and recordings.",
+    "simulate": "Record a simulated capture.",
+}
 
-app = App(
-    name="hueflight",
-    help="Multispectral time-of-flight imaging: distance and colour in the same photons.",
-    version=version("hueflight"),
-    # one line of help per command; details with COMMAND --help
-    help_format="markdown",
-)
-errors = Console(stderr=True)
+HELP = """Multispectral time-of-flight imaging: depth and colour from the same photons.
+
+`hueflight COMMAND --help` describes a command and its options.
+"""
+
+EXIT_CODES = """**Exit codes**
+
+- 0: The command did what was asked.
+- 1: The command failed or its arguments were wrong; a message on standard error says why.
+- 3: The command recover saved a recording, but some of its data was lost.
+- 130: The command was interrupted with Ctrl-C.
+"""
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Entry point: expected failures become one message and an exit code.
+    """Run a command; expected failures become one message and an exit code.
 
-    `words` are what was typed after the program's name; by default the real ones.
+    Parameters
+    ----------
+    words : sequence of str, optional
+        What follows the program's name; by default the arguments of this process.
+
+    Raises
+    ------
+    SystemExit
+        Always, with one of the exit codes that the help lists.
     """
-    # importing them registers their commands
-    from hueflight.cli import (  # noqa: F401
-        calibrate,
-        capture,
-        demo,
-        export,
-        info,
-        reconstruct,
-        recover,
-        serve,
-        simulate,
-    )
-
+    typed = sys.argv[1:] if words is None else list(words)
     try:
-        app(sys.argv[1:] if words is None else words)
+        application(typed)(typed)
     except HueflightError as error:
-        errors.print(f"[bold red]error:[/] {_plain(str(error))}", highlight=False, soft_wrap=True)
-        raise SystemExit(EXIT_FAILED) from None
+        _fail(str(error))
     except KeyboardInterrupt:
-        errors.print("interrupted", highlight=False)
-        raise SystemExit(EXIT_INTERRUPTED) from None
+        _say("interrupted")
+        raise SystemExit(INTERRUPTED) from None
     except BrokenPipeError:
         # whoever read our output has left; a second complaint at exit would be noise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(EXIT_FAILED) from None
+        raise SystemExit(FAILED) from None
     except OSError as error:
         where = f" {error.filename!r}" if error.filename else ""
-        errors.print(f"[bold red]error:[/] {error.strerror or error}{where}", highlight=False)
-        raise SystemExit(EXIT_FAILED) from None
+        _fail(f"{error.strerror or error}{where}")
 
 
-def _plain(text: str) -> str:
-    """Keep square brackets of a message from being read as markup."""
-    return text.replace("[", r"\[")
+def application(words: Sequence[str] = ()) -> App:
+    """Application with all commands, none of them loaded yet.
+
+    Parameters
+    ----------
+    words : sequence of str, optional
+        What will be parsed. The help of a command named here is its own docstring; of the
+        others only the summary is known without loading them.
+
+    Returns
+    -------
+    App
+        The application, ready to be called with `words`.
+    """
+    app = App(
+        name="hueflight",
+        help=HELP,
+        help_epilogue=EXIT_CODES,
+        help_format="markdown",
+        version=_version,
+        version_format="plaintext",
+    )
+    for name, summary in COMMANDS.items():
+        app.command(
+            f"hueflight.cli.{name}:{name}", name=name, help=None if name in words else summary
+        )
+    return app
+
+
+def _version() -> str:
+    from hueflight.cli.version import describe_version
+
+    return describe_version()
+
+
+def _fail(message: str) -> None:
+    from hueflight.cli.output import print_error
+
+    print_error(message)
+    raise SystemExit(FAILED) from None
+
+
+def _say(message: str) -> None:
+    from hueflight.cli.output import print_notice
+
+    print_notice(message)

@@ -1,4 +1,4 @@
-"""hueflight calibrate"""
+"""The command `hueflight calibrate`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 from cyclopts import Parameter
 
 from hueflight.calibration import calibrate as calibrate_captures
-from hueflight.cli.app import app
 from hueflight.cli.output import progress, show
+from hueflight.files.atomic import refuse_existing
 from hueflight.importers.captures import read_capture
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task
 
 
-@app.command
 def calibrate(
     reference: Path,
     *,
@@ -34,28 +33,33 @@ def calibrate(
 
     Parameters
     ----------
-    reference
-        Capture of the target with all LEDs on: a recording (.mcap) or counts
-        (.npz, .npy, .zarr, .h5, .ptu, .sdt).
-    distance
-        Distance of the target from the camera, metres.
-    out
-        The calibration to write, a folder NAME.zarr.
-    instrument
-        Preset or TOML file; needed where the capture does not carry its own.
-    bands
-        Capture of the same target, one LED at a time.
-    dark
-        Capture with the LEDs off.
-    flat
-        Capture under steady light, to measure the width of each code.
-    reflectance
-        Known reflectance of the target, one number or one for each band; default 1.
-    overwrite
-        Replace a calibration of that name.
-    json
-        Print the result as JSON.
+    reference : Path
+        Capture of the target with all LEDs on: a recording (.mcap) or counts (.npz, .npy, .zarr,
+        .h5, .ptu, .sdt).
+    distance : float
+        Distance of the target from the camera, in metres.
+    out : Path
+        Calibration to write: a folder NAME.zarr.
+    instrument : str, optional
+        Instrument of the captures: a preset or the path of a TOML file. Needed only where the
+        reference capture does not name its instrument.
+    bands : Path, optional
+        Capture of the same target with one LED on at a time. Without it, the waveform of each
+        LED is estimated from the reference.
+    dark : Path, optional
+        Capture with the LEDs off. Without it, hot pixels are found in the reference.
+    flat : Path, optional
+        Capture under steady light, from which the width of each code is measured. Without it,
+        all codes are taken to have the nominal width.
+    reflectance : tuple of float, optional
+        Known reflectance of the target: one number, or one for each band (1 = white). Without
+        it, the target counts as 1 in every band.
+    overwrite : bool, default False
+        Replace an existing calibration of that name.
+    json : bool, default False
+        Print one JSON object instead of a table.
     """
+    refuse_existing(out, overwrite=overwrite)
     extra = {"bands": bands, "dark": dark, "flat": flat}
     given = {name: path for name, path in extra.items() if path is not None}
     shown = progress(json_wanted=json)

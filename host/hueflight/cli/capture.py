@@ -1,15 +1,18 @@
-"""hueflight capture"""
+"""The command `hueflight capture`."""
 
 from __future__ import annotations
 
 import signal
 import time
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from hueflight.acquisition.plan import CaptureError, RunPlan
 from hueflight.acquisition.precision_stop import PrecisionStop
@@ -17,8 +20,8 @@ from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.summary import write_summary
 from hueflight.calibration import Calibration
-from hueflight.cli.app import app, errors
-from hueflight.cli.output import show
+from hueflight.cli.choices import PRESETS, SCENE_NAMES
+from hueflight.cli.output import error_console, print_notice, show
 from hueflight.devices.built_in_rigs import choose_rig
 from hueflight.devices.illumination import GUIDANCE, CaptureKind
 from hueflight.errors import HueflightError
@@ -29,12 +32,13 @@ CONNECT_S = 10.0
 REFRESH_S = 0.2
 
 
-@app.command
 def capture(
     kind: CaptureKind = "scene",
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    instrument: str = "paper",
+    instrument: Annotated[
+        str, Parameter(help=f"Instrument: a preset ({PRESETS}) or the path of a TOML file.")
+    ] = "paper",
     frames: int = 0,
     seconds: float | None = None,
     photons: float | None = None,
@@ -48,59 +52,73 @@ def capture(
     camera: str | None = None,
     illuminator: str | None = None,
     simulate: bool | None = None,
-    scene: str = "fig1",
+    scene: Annotated[
+        str, Parameter(help=f"Scene of the simulated instrument: {SCENE_NAMES}.")
+    ] = "fig1",
     yes: bool = False,
     json: bool = False,
 ) -> None:
-    """Record a capture from the camera, and count what is lost and where.
+    """Record a capture from the camera.
 
-    Ends at the first limit that is reached, or at Ctrl-C: the recording is whole either way.
+    The capture ends at the first limit that is reached, or at Ctrl-C; the recording is complete
+    either way. Frames that are lost are counted, and the result says where they were lost.
 
     Parameters
     ----------
-    kind
-        scene, or one of those that a calibration is made of: reference, bands (one LED at a
-        time), dark, flat.
-    out
-        The recording to write, NAME.mcap.
-    instrument
-        Preset or TOML file.
-    frames
-        Stop after so many; of kind bands, for each LED.
-    seconds
-        Stop after so long.
-    photons
-        Stop when the mean pixel has seen so many.
-    calibration
-        NAME.zarr; tells how well the pixels are known.
-    until_depth_std
-        Stop when depth is known this well, metres (standard deviation).
-    until_reflectance_std
-        Stop when the reflectance in every band is.
-    share
-        Of the pixels that must be.
-    distance
-        Of the target, metres; noted in the recording.
-    note
-        Noted in the recording.
-    rig
-        Address of the rig, such as usb:, simulated:fig1 or usb:0123ABCD+serial:/dev/ttyUSB0; takes
-        the place of --simulate, --scene, --camera and --illuminator.
-    camera
-        Serial number, needed if several are plugged in.
-    illuminator
-        Its serial port, such as /dev/ttyUSB0; without one, something else drives the LEDs.
-    simulate
-        Use the simulated instrument, or insist on a camera; by default whatever is there.
-    scene
-        That the simulated instrument looks at.
-    yes
-        Begin at once, without asking whether all is in place.
-    json
-        Print the result as JSON.
+    kind : str, default "scene"
+        What to capture: the scene, or one of the captures that a calibration is made from
+        (reference, bands for one LED at a time, dark, flat).
+    out : Path
+        Recording to write, NAME.mcap. A summary of the capture is written to NAME.json.
+    instrument : str, default "paper"
+        Instrument: a preset or the path of a TOML file.
+    frames : int, default 0
+        Number of frames after which the capture ends (for a capture of kind bands: for each LED).
+        With 0, the number of frames is not limited.
+    seconds : float, optional
+        Duration after which the capture ends, in seconds. By default it is not limited.
+    photons : float, optional
+        Mean number of photons per pixel after which the capture ends. By default it is not
+        limited.
+    calibration : Path, optional
+        Calibration NAME.zarr with which the uncertainties of pixels are estimated; needed for
+        --until-depth-std and --until-reflectance-std.
+    until_depth_std : float, optional
+        Standard deviation of depth, in metres, at which the capture ends. By default depth does
+        not end it.
+    until_reflectance_std : float, optional
+        Standard deviation of reflectance, in every band, at which the capture ends. By default
+        reflectance does not end it.
+    share : float, default 0.9
+        Fraction of pixels that must reach the target of --until-depth-std or
+        --until-reflectance-std.
+    distance : float, optional
+        Distance of the target from the camera, in metres, to be stored in the recording.
+    note : str, optional
+        Text to be stored in the recording.
+    rig : str, optional
+        Address of the rig, such as usb:, simulated:fig1 or usb:0123ABCD+serial:/dev/ttyUSB0. It
+        is given in place of --simulate, --scene, --camera and --illuminator.
+    camera : str, optional
+        Serial number of the camera. Needed only if several cameras are plugged in.
+    illuminator : str, optional
+        Serial port of the illuminator, such as /dev/ttyUSB0. Without it, something else has to
+        drive the LEDs.
+    simulate : bool, optional
+        Use the simulated instrument, or never use it. By default it is used if no camera is
+        plugged in.
+    scene : str, default "fig1"
+        Scene of the simulated instrument.
+    yes : bool, default False
+        Start at once, without asking whether camera and target are in place.
+    json : bool, default False
+        Print one JSON object instead of a table.
     """
     if out.suffix != ".mcap":
         raise CaptureError(f"{out}: the name of a recording must end in .mcap")
+    for written in (out, out.with_suffix(".json")):
+        if written.exists():  # photons can't be had again: a capture never overwrites
+            raise CaptureError(f"{written} exists already: choose another name for the recording")
     described = Instrument.load(instrument)
     metadata = {"note": note} if note else {}
     if distance is not None:
@@ -113,21 +131,19 @@ def capture(
     plan.check()
     connect = choose_rig(
         described, uri=rig, simulate=simulate, serial=camera, illuminator=illuminator, scene=scene,
-        say=lambda text: errors.print(f"[bold yellow]{text}[/]"),
+        say=lambda text: print_notice(text, style="bold yellow"),
     )  # fmt: skip
     acquisition = Acquisition(connect, described)
-    with _ctrl_c(acquisition):
+    console = error_console()
+    with _StopOnInterrupt(acquisition):
         try:
             _wait_for_rig(acquisition)
-            if errors.is_terminal and not yes and not acquisition.snapshot.simulated:
-                errors.print(GUIDANCE[kind])
-                errors.input("Press Enter to begin. ")
+            if console.is_terminal and not yes and not acquisition.snapshot.simulated:
+                console.print(GUIDANCE[kind])
+                console.input("Press Enter to begin. ")
             future = acquisition.run(plan)
-            if errors.is_terminal:
-                with Live(console=errors, transient=True) as live:
-                    while not future.done():
-                        live.update(_progress(acquisition.snapshot, plan))
-                        time.sleep(REFRESH_S)
+            if console.is_terminal:
+                _show_progress(console, acquisition, plan, future)
             result = future.result()
         finally:
             acquisition.close()
@@ -144,30 +160,51 @@ def until_of(
     reflectance_std: float | None,
     share: float,
 ) -> PrecisionStop | None:
-    """What must be known for a capture to end, or None if nothing is asked.
+    """Precision at which a capture ends.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument of the capture.
+    calibration : Path or None
+        Calibration of the same instrument.
+    depth_std : float or None
+        Standard deviation of depth to be reached, m.
+    reflectance_std : float or None
+        Standard deviation of reflectance to be reached in every band.
+    share : float
+        Fraction of pixels that must reach both.
+
+    Returns
+    -------
+    PrecisionStop or None
+        None if no precision is asked for.
 
     Raises
     ------
     HueflightError
-        If a wish can't be met, or there is no calibration for it.
+        If a target can't be met, or the calibration is missing, or it is given without a target.
     """
     if depth_std is None and reflectance_std is None:
         if calibration is not None:
             raise CaptureError(
-                f"calibration {calibration}: say with --until-depth-std (m) or "
-                "--until-reflectance-std what must be known"
+                f"calibration {calibration}: it serves no purpose without --until-depth-std (in "
+                "metres) or --until-reflectance-std; give one of them or leave it out"
             )
         return None
     rule = StopRule(depth_std=depth_std, reflectance_std=reflectance_std, share=share)
     if calibration is None:
-        raise CaptureError("how well pixels are known is told by a calibration: --calibration")
+        raise CaptureError(
+            "--until-depth-std and --until-reflectance-std need a calibration to estimate "
+            "uncertainties with: give --calibration NAME.zarr"
+        )
     known = Calibration.load(calibration)
     known.require(instrument)
     return PrecisionStop(rule, known)
 
 
-class _ctrl_c:  # noqa: N801 - reads as what it handles
-    """Ctrl-C ends the run, and with it the program, cleanly; a second one insists."""
+class _StopOnInterrupt:
+    """Ctrl-C ends the run, and with it the program, cleanly; a second one interrupts it."""
 
     def __init__(self, acquisition: Acquisition) -> None:
         self._acquisition = acquisition
@@ -179,7 +216,7 @@ class _ctrl_c:  # noqa: N801 - reads as what it handles
     def __exit__(self, *_: object) -> None:
         signal.signal(signal.SIGINT, self._before)
 
-    def _pressed(self, *_: object) -> None:
+    def _pressed(self, _number: int, _frame: FrameType | None) -> None:
         signal.signal(signal.SIGINT, self._before)
         if self._acquisition.snapshot.recording:
             self._acquisition.stop()
@@ -195,8 +232,15 @@ def _wait_for_rig(acquisition: Acquisition) -> None:
         time.sleep(REFRESH_S)
 
 
+def _show_progress(console: Console, acquisition: Acquisition, plan: RunPlan, future: Any) -> None:
+    with Live(console=console, transient=True) as live:
+        while not future.done():
+            live.update(_progress(acquisition.snapshot, plan))
+            time.sleep(REFRESH_S)
+
+
 def _progress(snapshot: Snapshot, plan: RunPlan) -> Table:
-    """How far it has come, and what it has cost."""
+    """Table of what was recorded and lost so far."""
     lost = {place: n for place, n in snapshot.totals.losses.as_dict().items() if n}
     goal = f" of {snapshot.run_limit:,}" if snapshot.run_limit else ""
     table = Table(show_header=False, box=None)
@@ -210,5 +254,5 @@ def _progress(snapshot: Snapshot, plan: RunPlan) -> Table:
         ("on disk", f"{snapshot.recorded_bytes / 1e6:,.1f} MB"),
         ("waiting for disk", f"{snapshot.recorder_queue_bytes / 1e6:,.1f} MB"),
     ):
-        table.add_row(name, value)
+        table.add_row(name, Text(value))
     return table

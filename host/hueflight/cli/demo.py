@@ -1,33 +1,42 @@
-"""hueflight demo"""
+"""The command `hueflight demo`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from hueflight.cli.app import app
 from hueflight.cli.output import progress, show
 from hueflight.errors import HueflightError
 
+LEAST_FRAMES = 100
+PAGE, NUMBERS = "index.html", "figures.json"
 
-@app.command
+
 def demo(
     *, out: Path = Path("out/demo"), frames: int = 10_000, seed: int = 1, json: bool = False
 ) -> None:
-    """Redraw the published figures from a simulated instrument: a page with pictures.
+    """Redraw the published figures from a simulated instrument, as a page with pictures.
 
     Parameters
     ----------
-    out
-        Folder for `index.html`, the pictures and `figures.json`.
-    frames
-        Frames per capture; 10 000 as published.
-    seed
-        Draws the photons and the sensor's defects.
-    json
-        Print the numbers as JSON.
+    out : Path, optional
+        Folder for the page (index.html), its pictures and its numbers (figures.json). A report
+        that is there already is replaced.
+    frames : int, default 10000
+        Number of frames in each capture, at least 100. The published captures had 10 000.
+    seed : int, default 1
+        Seed of the random numbers that draw the photons and the sensor's defects.
+    json : bool, default False
+        Print the report's numbers as one JSON object instead of a table.
     """
-    if frames < 100:
-        raise HueflightError(f"--frames {frames}: the report needs at least 100 frames per capture")
+    if frames < LEAST_FRAMES:
+        raise HueflightError(
+            f"--frames {frames}: the report needs at least {LEAST_FRAMES} frames per capture"
+        )
+    if (out / PAGE).exists() and not (out / NUMBERS).exists():
+        raise HueflightError(
+            f"{out / PAGE} exists and is not part of a report of this command: choose another "
+            "folder"
+        )
     try:
         from hueflight.report import make_report
     except ImportError as error:
@@ -36,4 +45,4 @@ def demo(
             "pip install 'hueflight[report]'"
         ) from None
     numbers = make_report(out, frames=frames, seed=seed, progress=progress(json_wanted=json))
-    show(f"Report: {out / 'index.html'}", numbers, json_wanted=json)
+    show(f"Report: {out / PAGE}", numbers, json_wanted=json)

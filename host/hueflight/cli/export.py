@@ -1,4 +1,4 @@
-"""hueflight export"""
+"""The command `hueflight export`."""
 
 from __future__ import annotations
 
@@ -7,18 +7,28 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from hueflight.cli.app import app
 from hueflight.cli.output import show
 from hueflight.export import FORMATS, write
 from hueflight.importers import read_image
 
+_ENDINGS = ", ".join(f"{entry.endings[0]} ({entry.summary})" for entry in FORMATS.values())
 
-@app.command
+
 def export(
     image: Path,
-    out: Path,
+    out: Annotated[
+        Path,
+        Parameter(help=f"File or folder to write. Its extension selects the format: {_ENDINGS}."),
+    ],
     *,
-    format: Annotated[str | None, Parameter(name=["--format", "-f"])] = None,  # noqa: A002
+    format: Annotated[  # noqa: A002
+        str | None,
+        Parameter(
+            name=["--format", "-f"],
+            help=f"Name of the format, whatever the extension of the file: {', '.join(FORMATS)}. "
+            "By default the extension selects it.",
+        ),
+    ] = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -26,24 +36,16 @@ def export(
 
     Parameters
     ----------
-    image
-        What `hueflight reconstruct` wrote (.zarr), or a NetCDF file of ours.
-    out
-        The file to write. Its ending chooses the format: .nc, .ome.tif, .tif, .hdr (ENVI),
-        .ply, .las, .png, .previews (a folder of pictures), .csv, .zarr.
-    format
-        Name of a format, whatever the ending.
-    overwrite
-        Replace a file of that name.
-    json
-        Print the result as JSON.
+    image : Path
+        Image that `hueflight reconstruct` wrote (.zarr), or one that was exported to NetCDF (.nc).
+    out : Path
+        File or folder to write.
+    format : str, optional
+        Name of the format.
+    overwrite : bool, default False
+        Replace existing files of that name.
+    json : bool, default False
+        Print one JSON object instead of a table.
     """
     written = write(read_image(image), out, format=format, overwrite=overwrite)
     show(f"Export of {image}", {"files": [str(path) for path in written]}, json_wanted=json)
-
-
-export.__doc__ = (export.__doc__ or "").replace(
-    "other tools open.",
-    "other tools open: " + "; ".join(f"{f.name}, {f.summary}" for f in FORMATS.values()) + ".",
-    1,
-)

@@ -1,24 +1,25 @@
-"""hueflight info"""
+"""The command `hueflight info`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from hueflight.cli.app import app
 from hueflight.cli.output import show
 from hueflight.recording import open_recording
 
 
-@app.command
 def info(recording: Path, *, json: bool = False) -> None:
-    """What a recording holds and whether all of it can be read.
+    """Show what a recording holds.
+
+    Frames, times, metadata, and what the stream from the camera had lost when it was recorded.
+    Packets are not read: use `hueflight recover` to find damage in them.
 
     Parameters
     ----------
-    recording
-        A recording (.mcap).
-    json
-        Print as JSON.
+    recording : Path
+        First file of the recording, NAME.mcap.
+    json : bool, default False
+        Print one JSON object instead of a table.
     """
     with open_recording(recording) as opened:
         facts = opened.info().as_dict()

@@ -1,4 +1,4 @@
-"""What commands print: progress and tables for people, JSON for scripts."""
+"""What commands print: progress, messages and tables for people, JSON for scripts."""
 
 from __future__ import annotations
 
@@ -8,60 +8,91 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
 from rich.table import Table
+from rich.text import Text
 
 from hueflight.progress import Progress, Silent
 
 
-class Bars:
-    """Progress bars on the terminal's error stream, one below the other."""
-
-    def __init__(self) -> None:
-        self._bar = Bar(
-            TextColumn("{task.description:<14}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-            console=Console(stderr=True),
-        )
-        self._open: list[Any] = []
-
-    def start(self, task: str, total: float | None) -> None:
-        """Show a bar for a task that begins."""
-        if not self._open:
-            self._bar.start()
-        self._open.append(self._bar.add_task(task, total=total))
-
-    def advance(self, steps: float = 1) -> None:
-        """Move the bar of the innermost task."""
-        self._bar.advance(self._open[-1], steps)
-
-    def finish(self) -> None:
-        """Leave the bar of the innermost task as it is."""
-        self._bar.stop_task(self._open.pop())
-        if not self._open:
-            self._bar.stop()
-
-
 def progress(*, json_wanted: bool = False) -> Progress:
-    """Bars for people at a terminal; nothing for scripts and logs."""
-    return Silent() if json_wanted or not sys.stderr.isatty() else Bars()
+    """Choose how progress is shown.
+
+    Parameters
+    ----------
+    json_wanted : bool, default False
+        Whether the command's result is meant for a script.
+
+    Returns
+    -------
+    Progress
+        Bars for people at a terminal, nothing for scripts and logs.
+    """
+    if json_wanted or not sys.stderr.isatty():
+        return Silent()
+    from hueflight.cli.bars import Bars
+
+    return Bars()
+
+
+def print_error(message: str) -> None:
+    """Print a message of failure on standard error.
+
+    Parameters
+    ----------
+    message : str
+        Plain text; square brackets stay as they are.
+    """
+    text = Text.assemble(("error:", "bold red"), " ", message)
+    error_console().print(text, soft_wrap=True)
+
+
+def print_notice(message: str, *, style: str = "") -> None:
+    """Print a message on standard error that is no failure.
+
+    Parameters
+    ----------
+    message : str
+        Plain text; square brackets stay as they are.
+    style : str, optional
+        Style of the text, in the words of rich.
+    """
+    error_console().print(Text(message, style), soft_wrap=True)
+
+
+def error_console() -> Console:
+    """Terminal behind standard error.
+
+    Returns
+    -------
+    Console
+        A new console on the present standard error.
+    """
+    return Console(stderr=True)
 
 
 def show(title: str, values: Mapping[str, Any], *, json_wanted: bool) -> None:
-    """Values as a table for people or as one JSON object for scripts."""
+    """Print a command's result: a table for people or one JSON object for scripts.
+
+    Parameters
+    ----------
+    title : str
+        Title of the table; plain text.
+    values : mapping of str to Any
+        Names and values of the result.
+    json_wanted : bool
+        Whether to print JSON.
+    """
     if json_wanted:
         print(json.dumps(values, default=str))
         return
+    # texts, because paths may hold what rich would take for markup
     table = Table(
-        title=title, title_justify="left", title_style="bold", show_header=False, box=None
+        title=Text(title), title_justify="left", title_style="bold", show_header=False, box=None
     )
     table.add_column(style="cyan")
     table.add_column()
     for key, value in values.items():
-        table.add_row(key.replace("_", " "), _readable(value))
+        table.add_row(Text(key.replace("_", " ")), Text(_readable(value)))
     Console().print(table)
 
 

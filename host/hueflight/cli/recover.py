@@ -1,4 +1,4 @@
-"""hueflight recover"""
+"""The command `hueflight recover`."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from hueflight.cli.app import app
 from hueflight.cli.output import show
 from hueflight.model.instrument import Instrument
 from hueflight.recording import recover as recover_recording
 
 
-@app.command
 def recover(
     recording: Path,
     *,
@@ -22,22 +20,29 @@ def recover(
     overwrite: bool = False,
     json: bool = False,
 ) -> int:
-    """Save what is left of a damaged or unfinished recording. The old files stay as they are.
+    """Save what is left of a damaged or unfinished recording.
 
-    Exit codes: 0 all of it was whole, 3 something was lost, 1 nothing could be recovered.
+    The old files stay as they are. Exit codes: 0 if all of the recording was intact, 3 if some of
+    it was lost, 1 if nothing could be recovered.
 
     Parameters
     ----------
-    recording
+    recording : Path
         First file of the recording, NAME.mcap.
-    out
-        The new recording; by default NAME.recovered.mcap.
-    instrument
-        Preset or TOML file; needed only where no file says any more which one it was.
-    overwrite
-        Replace a recording of that name.
-    json
-        Print the result as JSON.
+    out : Path, optional
+        Recording to write. By default NAME.recovered.mcap, beside the old one.
+    instrument : str, optional
+        Instrument that made the recording: a preset or the path of a TOML file. Needed only if
+        none of the recording's files names it any more.
+    overwrite : bool, default False
+        Replace an existing recording of that name.
+    json : bool, default False
+        Print one JSON object instead of a table.
+
+    Returns
+    -------
+    int
+        Exit code.
     """
     known = None if instrument is None else Instrument.load(instrument)
     recovery = recover_recording(recording, out, instrument=known, overwrite=overwrite)

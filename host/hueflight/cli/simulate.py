@@ -1,75 +1,92 @@
-"""hueflight simulate"""
+"""The command `hueflight simulate`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from hueflight import simulator
-from hueflight.cli.app import app
+from hueflight.cli.choices import PRESETS, SCENE_NAMES
 from hueflight.cli.output import progress, show
 from hueflight.errors import SceneError
+from hueflight.files.atomic import refuse_existing
 from hueflight.importers.captures import write_counts
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task, tracked
 from hueflight.recording import RecordingWriter
+from hueflight.simulator.captures import Kind
+
+_LIGHT = simulator.SimulationSettings().white_detections
 
 
-@app.command
 def simulate(
-    scene: str = "fig1",
+    scene: Annotated[str, Parameter(help=f"Scene to simulate: {SCENE_NAMES}.")] = "fig1",
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    capture: Literal["scene", "reference", "bands", "dark", "flat"] = "scene",
-    instrument: str = "paper",
+    capture: Kind = "scene",
+    instrument: Annotated[
+        str, Parameter(help=f"Instrument: a preset ({PRESETS}) or the path of a TOML file.")
+    ] = "paper",
     frames: int = 1000,
     distance: float | None = None,
     seed: int = 1,
-    light: float | None = None,
+    light: Annotated[
+        float | None,
+        Parameter(
+            help="Number of photons per exposure that a pixel would detect from a white plane at "
+            f"1 m. By default {_LIGHT:g}."
+        ),
+    ] = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
-    """Record a simulated capture: every exposure drawn, packed and written like a real one.
+    """Record a simulated capture.
+
+    Every exposure is drawn, packed and written as the camera would send it.
 
     Parameters
     ----------
-    scene
-        What to look at: fig1, fig7, colorchecker, plane, staircase or empty.
-    out
-        NAME.mcap for a recording of packets, NAME.npz for counts alone (much faster).
-    capture
-        scene, or one of the captures that a calibration is made of (a white plane).
-    instrument
-        Preset or TOML file.
-    frames
-        Exposures (for each LED of capture `bands`, for each position of a scanned sensor).
-    distance
-        Of the scene or the white plane, metres, where it has one.
-    seed
-        Draws the photons; the sensor's defects are always the same.
-    light
-        Photons that a white plane at 1 m gives per exposure.
-    overwrite
-        Replace a file of that name.
-    json
-        Print the result as JSON.
+    scene : str, default "fig1"
+        Scene to simulate.
+    out : Path
+        File to write: NAME.mcap for a recording of packets, or NAME.npz for counts alone, which
+        is much faster.
+    capture : str, default "scene"
+        What to capture: the scene, or one of the captures that a calibration is made from. Those
+        show a white plane instead of the scene (reference, bands for one LED at a time, dark,
+        flat).
+    instrument : str, default "paper"
+        Instrument: a preset or the path of a TOML file.
+    frames : int, default 1000
+        Number of frames to record: for each LED in a capture of kind bands, and for each position
+        of a scanned sensor.
+    distance : float, optional
+        Distance of the scene or of the white plane from the camera, in metres. By default each
+        scene has its own; the white plane stands at 0.4 m.
+    seed : int, default 1
+        Seed of the random numbers that draw the photons. The sensor's defects do not depend on it.
+    light : float, optional
+        Number of photons per exposure from a white plane at 1 m.
+    overwrite : bool, default False
+        Replace an existing file of that name.
+    json : bool, default False
+        Print one JSON object instead of a table.
     """
     described = Instrument.load(instrument)
     settings = simulator.SimulationSettings()
     if light is not None:
         settings = settings.replace(white_detections=light)
     options: dict[str, Any] = {} if distance is None else {"distance": distance}
-    looked_at = simulator.scene(scene, described, **options) if capture == "scene" else None
-    if out.exists() and not overwrite:
-        raise SceneError(f"{out} exists: choose another name or say --overwrite")
+    simulated = simulator.scene(scene, described, **options) if capture == "scene" else None
+    refuse_existing(out, overwrite=overwrite)
     shown = progress(json_wanted=json)
     result = {"instrument": described.name, "capture": capture, "frames": frames}
     if out.suffix == ".npz":
         with task(shown, "simulating", 1):
             counts = simulator.simulate_capture(
-                capture, described, frames=frames, scene=looked_at, settings=settings, seed=seed,
+                capture, described, frames=frames, scene=simulated, settings=settings, seed=seed,
                 **options,
             )  # fmt: skip
             write_counts(out, counts, described)
@@ -79,11 +96,11 @@ def simulate(
         )
     elif out.suffix == ".mcap":
         packets = simulator.simulate_packets(
-            capture, described, frames=frames, scene=looked_at, settings=settings, seed=seed,
+            capture, described, frames=frames, scene=simulated, settings=settings, seed=seed,
             **options,
         )  # fmt: skip
-        leds_in_turn = len(described.bands) if capture == "bands" else 1
-        total = frames * leds_in_turn * described.sensor.scan_steps
+        steps = len(described.bands) if capture == "bands" else 1
+        total = frames * steps * described.sensor.scan_steps
         with RecordingWriter(
             out,
             described,

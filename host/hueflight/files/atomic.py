@@ -41,7 +41,7 @@ def staged(target: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     target = Path(target)
     if not target.parent.is_dir():
         raise ExportError(f"can't write {str(target)!r}: there is no folder {str(target.parent)!r}")
-    _refuse_existing(target, overwrite=overwrite)
+    refuse_existing(target, overwrite=overwrite)
     try:
         folder = Path(
             tempfile.mkdtemp(
@@ -54,7 +54,7 @@ def staged(target: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         yield folder / target.name
         written = sorted(folder.iterdir(), key=lambda path: path.name == target.name)
         for path in written:
-            _refuse_existing(target.parent / path.name, overwrite=overwrite)
+            refuse_existing(target.parent / path.name, overwrite=overwrite)
             _sync(path)
         for path in written:
             _move(path, target.parent / path.name, aside=folder)
@@ -91,10 +91,25 @@ def _discard(folder: Path) -> None:
         time.sleep(0.02)
 
 
-def _refuse_existing(target: Path, *, overwrite: bool) -> None:
+def refuse_existing(target: Path, *, overwrite: bool = False) -> None:
+    """Check that a name is free before work on what it is for begins.
+
+    Parameters
+    ----------
+    target : Path
+        File or folder to be written.
+    overwrite : bool, default False
+        Whether an existing one may be replaced.
+
+    Raises
+    ------
+    ExportError
+        If there is one and it may not be replaced.
+    """
     if not overwrite and target.exists():
         raise ExportError(
-            f"{str(target)!r} exists already: choose another name or allow overwriting"
+            f"{str(target)!r} exists already: choose another name or allow overwriting "
+            "(--overwrite, overwrite=True)"
         )
 
 

@@ -3,6 +3,9 @@
 LEDs rise faster than they fall. The exponentially modified Gaussian is the usual model of
 such a pulse; its integral is known in closed form, so that a bin's share is exact however
 narrow or wide the bin (Grushka, Anal. Chem. 44, 1733, 1972).
+
+SciPy is imported where it is called: loading it takes longer than reading an instrument or a
+recording, which need this module and none of its integrals.
 """
 
 from __future__ import annotations
@@ -13,8 +16,6 @@ from math import ceil, log, sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
-from scipy.special import erfcx, ndtr
 
 from hueflight.errors import InstrumentError
 
@@ -52,6 +53,8 @@ class Pulse:
 
     def cumulative(self, time_ns: ArrayLike) -> NDArray[np.float64]:
         """Photons up to given times."""
+        from scipy.special import ndtr
+
         z = (np.asarray(time_ns, dtype=np.float64) - self.center_ns) / self.sigma_ns
         if self._is_gaussian:
             return self.area * ndtr(z)
@@ -67,6 +70,8 @@ class Pulse:
 
     def _decayed(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
         """exp(s²/2 − s z) Φ(z − s) with s = σ/tail, written so that no factor overflows alone."""
+        from scipy.special import erfcx
+
         s = self.sigma_ns / self.tail_ns
         past = z - s
         scaled = np.exp(-(z**2) / 2) * erfcx(-np.minimum(past, 30) / sqrt(2)) / 2
@@ -99,6 +104,8 @@ class Pulse:
 @lru_cache(maxsize=1024)
 def full_width_half_maximum(sigma_ns: float, tail_ns: float) -> float:
     """FWHM of an exponentially modified Gaussian, ns."""
+    from scipy.optimize import brentq
+
     if tail_ns <= SHORT_TAIL * sigma_ns:
         return GAUSSIAN_FWHM_PER_SIGMA * sigma_ns
     pulse = Pulse(0.0, sigma_ns, tail_ns)
@@ -128,6 +135,8 @@ def gaussian_sigma(fwhm_ns: float, tail_ns: float) -> float:
             f"a tail of {tail_ns} ns is alone as wide as the whole pulse of {fwhm_ns} ns "
             "(at half maximum): shorten the tail or widen the pulse"
         )
+    from scipy.optimize import brentq
+
     widest = fwhm_ns / GAUSSIAN_FWHM_PER_SIGMA
     if tail_ns <= SHORT_TAIL * widest:
         return widest

@@ -164,7 +164,8 @@ def test_nothing_is_overwritten_unasked(bench: Path, run) -> None:
     before = (bench / "a.npz").read_bytes()
     refused = run(*words)
     assert refused.code == 1
-    assert "a.npz exists" in refused.err
+    assert "'a.npz' exists already" in refused.err
+    assert "--overwrite" in refused.err
     assert (bench / "a.npz").read_bytes() == before
     assert run(*words, "--overwrite").code == 0
 

@@ -1,0 +1,175 @@
+"""One capture file to one image store, with a summary of what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from hueflight.calibration import Calibration
+from hueflight.export.description import describe
+from hueflight.export.stores import write_zarr
+from hueflight.files.atomic import optional, refuse_existing, staged
+from hueflight.importers.captures import read_capture
+from hueflight.progress import Progress, Silent, task
+from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.reconstruct import reconstruct
+
+
+@dataclass(frozen=True)
+class FileResult:
+    """What `reconstruct_file` made of a capture.
+
+    Attributes
+    ----------
+    image : Dataset
+        The image as it was written, in memory.
+    store : Path
+        Zarr store that holds it.
+    losses : mapping of str to int
+        Number of packets or frames that the capture lacks, by reason; empty if it is complete.
+    preview : Path or None
+        Picture that was written beside it, if any.
+    """
+
+    image: xr.Dataset
+    store: Path
+    losses: Mapping[str, int]
+    preview: Path | None = None
+
+    def summary(self) -> dict[str, Any]:
+        """Summarise image and losses in plain values.
+
+        Returns
+        -------
+        dict
+            As `summarize` gives, with ``lost_…`` for each kind of loss, and ``preview`` if a
+            picture was written.
+        """
+        summary = summarize(self.image)
+        summary |= {f"lost_{reason}": count for reason, count in self.losses.items()}
+        if self.preview is not None:
+            summary["preview"] = str(self.preview)
+        return summary
+
+
+def reconstruct_file(
+    capture: str | Path,
+    out: str | Path,
+    /,
+    *,
+    calibration: Calibration | str | Path,
+    options: Mapping[str, Any] | None = None,
+    preview: bool = False,
+    overwrite: bool = False,
+    attributes: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+) -> FileResult:
+    """Reconstruct one capture file into a Zarr store.
+
+    Parameters
+    ----------
+    capture : str or Path
+        Recording (``.mcap``) or counts (``.npz``, ``.npy``, ``.zarr``, ``.h5``, ``.ptu``,
+        ``.sdt``).
+    out : str or Path
+        Store to write, ``NAME.zarr``.
+    calibration : Calibration, str or Path
+        Calibration of the same instrument, or the path of one.
+    options : mapping, optional
+        Keywords of `reconstruct`, such as ``{"method": "pooled"}``.
+    preview : bool, default False
+        Whether to write a picture ``NAME.png`` beside the store.
+    overwrite : bool, default False
+        Whether an existing store and picture may be replaced.
+    attributes : mapping of str to str, optional
+        Further attributes of the image.
+    progress : Progress, optional
+        Told about each step.
+
+    Returns
+    -------
+    FileResult
+        The image, where it is, and what the capture lacks.
+
+    Raises
+    ------
+    ExportError
+        If `out` or the picture exists and may not be replaced, which is checked before anything
+        is read; or if the disk does not take them.
+    HueflightError
+        If capture or calibration can't be read, or they do not fit one another.
+    """
+    capture, out = Path(capture), Path(out)
+    picture = out.with_suffix(".png") if preview else None
+    refuse_existing(out, overwrite=overwrite)
+    if picture is not None:
+        refuse_existing(picture, overwrite=overwrite)
+        optional("matplotlib", extra="report")
+    shown = progress or Silent()
+    with task(shown, "reading", 2):
+        if not isinstance(calibration, Calibration):
+            calibration = Calibration.load(calibration)
+        shown.advance()
+        taken = read_capture(capture, calibration.instrument)
+        shown.advance()
+    with task(shown, "reconstructing", 1):
+        image = reconstruct(taken.counts, calibration, **(options or {}))
+        shown.advance()
+    lost = ", ".join(f"{reason} {count}" for reason, count in taken.losses.items())
+    image = describe(
+        image,
+        calibration,
+        capture=capture.name,
+        capture_losses=lost or "none",
+        **(attributes or {}),
+    )
+    write_zarr(image, out, overwrite=overwrite)
+    if picture is not None:
+        _write_picture(image, calibration, picture, overwrite=overwrite)
+    return FileResult(image, out, taken.losses, picture)
+
+
+def summarize(image: xr.Dataset) -> dict[str, Any]:
+    """Summarise an image in plain values.
+
+    Parameters
+    ----------
+    image : Dataset
+        As `reconstruct` gives.
+
+    Returns
+    -------
+    dict
+        Method, number of pixels and of those with depth, percentiles of depth and the median of
+        its standard deviation (m), and the number of pixels with each flag of quality that
+        occurs.
+    """
+    depth, quality = image["depth"].values, image["quality"].values
+    known = np.isfinite(depth)
+    summary: dict[str, Any] = {
+        "method": image.attrs["method"],
+        "pixels": int(depth.size),
+        "pixels_with_depth": int(known.sum()),
+    }
+    if known.any():
+        for percent in (5, 50, 95):
+            summary[f"depth_{percent}_percent_m"] = float(np.percentile(depth[known], percent))
+        summary["median_depth_std_m"] = float(np.nanmedian(image["depth_std"].values))
+    for flag in Quality:
+        if count := int(((quality & int(flag)) != 0).sum()):
+            summary[f"{(flag.name or '').lower()}_pixels"] = count
+    return summary
+
+
+def _write_picture(
+    image: xr.Dataset, calibration: Calibration, path: Path, *, overwrite: bool
+) -> None:
+    from hueflight.report.preview import draw_preview  # needs an extra
+
+    with staged(path, overwrite=overwrite) as partial:
+        draw_preview(image, calibration.instrument).savefig(partial)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
-from sphinx.domains.python import PyObject
 
 os.environ.setdefault("MPLBACKEND", "agg")
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
@@ -46,8 +45,10 @@ ALIASES = ("ArrayLike", "DTypeLike", "NDArray", "Region")
 autodoc_type_aliases = {name: name for name in ALIASES}
 
 napoleon_google_docstring = False
+# Types are text for people ("array_like, shape (row, col)"), which must not become references.
+napoleon_use_param = False
 napoleon_use_rtype = False
-napoleon_use_ivar = True
+napoleon_custom_sections = [("Attributes", "params_style")]
 
 
 def shorten_factories(
@@ -82,9 +83,6 @@ def is_described_elsewhere(
 
 
 def setup(app: Sphinx) -> None:
-    """Connect the handlers, and name the attributes of classes as their docstrings do."""
+    """Connect the handlers."""
     app.connect("autodoc-process-signature", shorten_factories)
     app.connect("autodoc-skip-member", is_described_elsewhere)
-    for field in PyObject.doc_field_types:
-        if field.name == "variable":
-            field.label = "Attributes"

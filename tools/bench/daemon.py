@@ -86,8 +86,8 @@ def brightened(instrument: Instrument, occupancy: float) -> Instrument:
 def serve(arguments: argparse.Namespace) -> None:
     """Run a daemon whose camera plays frames that were drawn beforehand."""
     from hueflight.daemon.config import DaemonConfig, ServerConfig
+    from hueflight.daemon.http.server import serve as run
     from hueflight.daemon.logs import configure
-    from hueflight.daemon.server import serve as run
     from hueflight.devices import Camera, Rig
     from hueflight.devices.illumination import CaptureKind
     from hueflight.emulation import CameraModel, FrameBank

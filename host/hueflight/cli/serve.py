@@ -95,8 +95,8 @@ def serve(
     """
     try:
         from hueflight.daemon.config import DaemonConfig
+        from hueflight.daemon.http.server import serve as run
         from hueflight.daemon.logs import configure
-        from hueflight.daemon.server import serve as run
     except ImportError as error:
         raise HueflightError(
             f"the daemon needs the package {error.name}: pip install 'hueflight[daemon]'"

@@ -1,6 +1,6 @@
-"""Calibrating on command: captures are recorded, then worked out by a process of its own.
+"""Calibration on command: captures are recorded, then evaluated in a separate process.
 
-The raw captures are kept beside the calibration, so that it can be made again.
+The raw captures are kept beside the calibration, so that it can be computed again.
 """
 
 from __future__ import annotations
@@ -31,13 +31,16 @@ _WORK_TIMEOUT_S = 1800
 
 @dataclass(frozen=True)
 class CalibrationState:
-    """How far a calibration has come.
+    """Progress of a calibration.
 
     Attributes
     ----------
-    step : ``"idle"``, a kind of capture, ``"working"``, ``"done"`` or ``"failed"``.
-    message : in words.
-    path : of the calibration in use, empty if none.
+    step : str
+        ``"idle"``, a kind of capture, ``"working"``, ``"done"`` or ``"failed"``.
+    message : str
+        The same in words.
+    path : str
+        Path of the calibration in use; empty if there is none.
     """
 
     step: str = "idle"
@@ -50,9 +53,12 @@ class CalibrationJob:
 
     Parameters
     ----------
-    acquisition : takes them.
-    folder : where calibrations are kept.
-    use : given each finished calibration.
+    acquisition : Acquisition
+        Acquisition that takes the captures.
+    folder : Path
+        Folder in which calibrations are kept.
+    use : callable
+        Called with each finished calibration.
     """
 
     def __init__(
@@ -67,13 +73,21 @@ class CalibrationJob:
         self.state = CalibrationState()
 
     def load_latest(self, instrument: Instrument) -> None:
-        """Use the newest calibration of this instrument, if there is one."""
+        """Use the newest calibration of this instrument, if there is any.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument that the calibration must belong to.
+        """
         for path in sorted(self._folder.glob(f"*/{CALIBRATION_NAME}"), reverse=True):
             try:
                 calibration = Calibration.load(path)
                 calibration.require(instrument)
             except HueflightError as error:
-                self.state = CalibrationState("idle", f"{path.parent.name} can't be used: {error}")
+                self.state = CalibrationState(
+                    "idle", f"calibration {path.parent.name} can't be used: {error}"
+                )
                 continue
             self._use(calibration)
             self.state = CalibrationState(
@@ -82,27 +96,38 @@ class CalibrationJob:
             return
 
     def begin(self, *, distance: float, frames: int, bands: bool, dark: bool) -> None:
-        """Take a reference at `distance` metres, and if asked each LED alone and a dark one.
+        """Begin a calibration; it goes on in a thread of its own.
+
+        Parameters
+        ----------
+        distance : float
+            Distance of the reference target, in metres.
+        frames : int
+            Frames of each capture.
+        bands : bool
+            Also capture the target with one LED at a time.
+        dark : bool
+            Also take a capture with all LEDs off.
 
         Raises
         ------
         CaptureError
-            If one is being made already.
+            If a calibration is in progress.
         """
         if not self._busy.acquire(blocking=False):
-            raise CaptureError("a calibration is being made already: wait for it")
+            raise CaptureError("a calibration is in progress: wait until it is done")
         kinds: list[CaptureKind] = ["reference"]
         if bands:
             kinds.append("bands")
         if dark:
             kinds.append("dark")
-        self.state = replace(self.state, step="reference", message="beginning")
+        self.state = replace(self.state, step="reference", message="starting")
         threading.Thread(
             target=self._work, args=(kinds, distance, frames), name="calibrating", daemon=True
         ).start()
 
     def close(self) -> None:
-        """Give up a calibration that is being made."""
+        """Abandon a calibration that is in progress."""
         self._closing = True
         process = self._process
         if process is not None:
@@ -116,7 +141,9 @@ class CalibrationJob:
         except HueflightError as error:
             self.state = replace(self.state, step="failed", message=str(error))
         except (OSError, subprocess.SubprocessError) as error:
-            self.state = replace(self.state, step="failed", message=f"it could not run: {error}")
+            self.state = replace(
+                self.state, step="failed", message=f"the evaluation could not run: {error}"
+            )
         finally:
             self._busy.release()
 
@@ -124,16 +151,16 @@ class CalibrationJob:
         folder = self._folder / timestamp_name()
         captures: dict[str, Path] = {}
         for kind in kinds:
-            self.state = replace(self.state, step=kind, message=f"capture {kind!r}")
+            self.state = replace(self.state, step=kind, message=f"taking capture {kind!r}")
             path = folder / f"{kind}.mcap"
             plan = RunPlan(
                 kind=kind, frames=frames, path=path, metadata={"distance_m": str(distance)}
             )
             result = self._wait(self._acquisition.run(plan))
             if result.failure:
-                raise CaptureError(f"capture {kind!r} broke off: {result.failure}")
+                raise CaptureError(f"capture {kind!r} was interrupted: {result.failure}")
             captures[kind] = path
-        self.state = replace(self.state, step="working", message="working out the calibration")
+        self.state = replace(self.state, step="working", message="computing the calibration")
         self._calibrate(captures, distance, folder / CALIBRATION_NAME)
         return folder / CALIBRATION_NAME
 
@@ -143,7 +170,7 @@ class CalibrationJob:
                 return future.result(timeout=0.5)
             except TimeoutError:
                 continue
-        raise CaptureError("the daemon is ending")
+        raise CaptureError("the daemon is shutting down")
 
     def _calibrate(self, captures: dict[str, Path], distance: float, out: Path) -> None:
         command = [sys.executable, "-c", _COMMAND, "calibrate", str(captures["reference"])]
@@ -162,5 +189,8 @@ class CalibrationJob:
         os.setpriority(os.PRIO_PROCESS, self._process.pid, ThreadPriority.CALIBRATION.niceness)
         output, errors = self._process.communicate(timeout=_WORK_TIMEOUT_S)
         if self._process.returncode:
-            raise CaptureError(errors.strip() or f"calibrate ended with {self._process.returncode}")
+            raise CaptureError(
+                errors.strip()
+                or f"'hueflight calibrate' failed with exit code {self._process.returncode}"
+            )
         json.loads(output)

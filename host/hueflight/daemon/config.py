@@ -1,4 +1,4 @@
-"""What a daemon is told in one TOML file, strictly."""
+"""Configuration of a daemon, read from one TOML file in which unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -25,17 +25,28 @@ class _Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Who may talk to the daemon, and how much.
+    """Address of the daemon, and limits on its clients.
 
     Attributes
     ----------
-    host, port : where to listen; beyond loopback a token is required.
-    token_file : file with the token; readable by its owner alone.
-    allowed_hosts : names by which browsers may call the daemon, besides loopback and `host`.
-    max_connections : open connections, of all clients.
-    max_viewers : live pictures at the same time.
-    requests_per_s, burst : of each client address.
-    max_body_bytes : of a request.
+    host : str
+        Address on which the daemon listens. Beyond loopback a token is required.
+    port : int
+        Port on which the daemon listens; 0 for any free one.
+    token_file : str
+        File with the token that clients must send; only its owner may be able to read it.
+    allowed_hosts : tuple of str
+        Further names by which browsers may address the daemon, besides loopback and `host`.
+    max_connections : int
+        Most open connections of all clients together.
+    max_viewers : int
+        Most viewers of the live picture at the same time.
+    requests_per_s : float
+        Requests per second that one client address may send in the long run.
+    burst : int
+        Requests that one client address may send at once.
+    max_body_bytes : int
+        Most bytes in the body of a request.
     """
 
     host: str = "127.0.0.1"
@@ -61,22 +72,27 @@ class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def beyond_loopback(self) -> bool:
-        """Whether other machines can reach the daemon."""
+        """True if other machines can reach the daemon."""
         return self.host not in LOOPBACK
 
     def token(self) -> str | None:
-        """The token that clients must show, None on loopback without one.
+        """Return the token that clients must send.
+
+        Returns
+        -------
+        str or None
+            The token; None on loopback if no file is named.
 
         Raises
         ------
         ConfigError
-            If one is needed and missing, or too short to be one.
+            If a token is required and missing, can be read by others, or is too short.
         """
         if not self.token_file:
             if self.beyond_loopback:
                 raise ConfigError(
-                    f"server.host = {self.host!r} lets other machines in: name a file with a "
-                    "token in server.token_file (or --token-file), for example made by: "
+                    f"server.host = {self.host!r} lets other machines in: write a token to a file "
+                    "and name it in server.token_file (or --token-file), for example made by: "
                     "python3 -c 'import secrets; print(secrets.token_urlsafe())'"
                 )
             return None
@@ -97,12 +113,14 @@ class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class RecordingConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What recordings may take.
+    """Limits on the memory and disk space of recordings.
 
     Attributes
     ----------
-    queue_mb : packets that may wait for a slow disk.
-    min_free_mb : space that recordings leave free.
+    queue_mb : int
+        Most packets that wait for a slow disk, in MiB.
+    min_free_mb : int
+        Disk space that recordings leave free, in MiB.
     """
 
     queue_mb: int = 128
@@ -110,27 +128,45 @@ class RecordingConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One daemon: one camera.
+    """Configuration of one daemon, which runs one camera.
 
     Attributes
     ----------
-    name : shown to people and in metrics, to tell several daemons apart.
-    instrument : preset or TOML file.
-    data : folder of recordings and calibrations.
-    simulate : use the simulated instrument, or never; by default only where no camera is
+    name : str
+        Name shown on the page and in metrics, to tell several daemons apart.
+    instrument : str
+        Name of a preset, or path of a TOML file.
+    data : str
+        Folder of recordings and calibrations.
+    simulate : bool or None
+        True uses the simulated instrument, False never does. By default it is used if no camera is
         plugged in and none is named.
-    scene : that it looks at.
-    rig : address of the rig, in place of `simulate`, `scene`, `camera` and `illuminator`.
-    camera : serial number, needed if several are plugged in.
-    illuminator : its serial port; empty if something else drives the LEDs.
-    method : of reconstruction, ``"joint"``, ``"pooled"`` or ``"paper"``; empty for the best that
-        keeps up.
-    pictures_hz : live pictures per second; 0 for what suits the frame rate.
-    picture_frames : frames behind each; 0 for what suits the frame rate.
-    change_sigma : standard deviations by which a pixel must have changed to be fitted again;
-        0 fits all pixels of every picture.
-    threads : that count photons.
-    picture_threads : that reconstruct, at a lower priority; 0 for as many as there are cores.
+    scene : str
+        Scene of the simulated instrument.
+    rig : str
+        Address of the rig, in place of `simulate`, `scene`, `camera` and `illuminator`.
+    camera : str
+        Serial number of the camera, which is needed if several are plugged in.
+    illuminator : str
+        Serial port of the illuminator; empty if something else drives the LEDs.
+    method : str
+        Method of reconstruction, ``"joint"``, ``"pooled"`` or ``"paper"``; empty for the best one
+        that keeps up.
+    pictures_hz : float
+        Live pictures per second; 0 for a rate that suits the frame rate.
+    picture_frames : int
+        Frames behind each live picture; 0 for a number that suits the frame rate.
+    change_sigma : float
+        Standard deviations by which a pixel must have changed to be fitted again at once; 0 fits
+        all pixels of every picture.
+    threads : int
+        Threads that count photons.
+    picture_threads : int
+        Threads that reconstruct, at a lower priority; 0 for one per core.
+    server : ServerConfig
+        Address, and limits on clients.
+    recording : RecordingConfig
+        Limits on recordings.
     """
 
     name: str = "hueflight"
@@ -166,12 +202,22 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     @property
     def folder(self) -> Path:
-        """Where data goes."""
+        """Absolute path of the data folder."""
         return Path(self.data).expanduser().resolve()
 
     @classmethod
     def load(cls, path: Path) -> DaemonConfig:
-        """Configuration from a TOML file.
+        """Return the configuration in a TOML file.
+
+        Parameters
+        ----------
+        path : Path
+            Path of the file.
+
+        Returns
+        -------
+        DaemonConfig
+            The configuration.
 
         Raises
         ------

@@ -1,24 +1,32 @@
-"""How long after its last photon a picture is on a screen, and where the time goes."""
+"""Time from the last photon of a picture until a viewer sees it, and where that time goes."""
 
 from __future__ import annotations
 
 from collections import deque
 
-from hueflight.daemon.pictures import Picture
+from hueflight.daemon.picture import Picture
 
 KEPT = 2048
-WINDOW_S = 30.0  #: what is older is forgotten
+WINDOW_S = 30.0  #: older latencies are forgotten
 QUANTILES = (("p50", 0.5), ("p95", 0.95), ("p99", 0.99))
 
 
-class Latencies:
-    """The latest delays, from last photon to the browser's answer that the picture is shown."""
+class LatencyMeter:
+    """Latest times from last photon to the browser's answer that the picture is on the screen."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=KEPT)
 
     def shown(self, picture: Picture, now_s: float) -> None:
-        """Book a picture that is on a screen since `now_s`, monotonic clock."""
+        """Note that a picture is on a screen.
+
+        Parameters
+        ----------
+        picture : Picture
+            The picture.
+        now_s : float
+            Monotonic clock, in seconds.
+        """
         self._seen.append(
             (
                 now_s,
@@ -33,10 +41,15 @@ class Latencies:
             self._seen.popleft()
 
     def as_dict(self) -> dict[str, float] | None:
-        """Quantiles of the whole, and medians of its parts, seconds; None before the first.
+        """Return quantiles of the latency and medians of its parts.
 
-        The parts are `waiting` for the picture before, `making` this one, and `showing` it: coding,
-        the way to the browser, drawing, and the answer's way back.
+        The parts are `waiting` for the picture before, `making` this one, and `showing` it:
+        encoding, transfer to the browser, drawing, and the transfer of the browser's answer.
+
+        Returns
+        -------
+        dict of float, or None
+            Seconds by name; None until a picture has been shown.
         """
         if not self._seen:
             return None

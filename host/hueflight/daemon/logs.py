@@ -1,4 +1,4 @@
-"""Logs: lines for people at a terminal, one JSON object a line for machines."""
+"""Logs: readable lines at a terminal, and one JSON object per line for programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ def configure(*, as_json: bool | None = None) -> None:
 
     Parameters
     ----------
-    as_json : by default, wherever standard error is no terminal.
+    as_json : bool, optional
+        Write JSON; by default if standard error is not a terminal.
     """
     if as_json is None:
         as_json = not sys.stderr.isatty()
@@ -29,5 +30,5 @@ def configure(*, as_json: bool | None = None) -> None:
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
         cache_logger_on_first_use=False,
     )
-    # the web server speaks through the standard library; only what is wrong matters here
+    # the web server logs through the standard library; only its warnings matter here
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr, format="%(name)s: %(message)s")

@@ -1,4 +1,4 @@
-"""One pixel of a picture, in numbers: its histogram, windows, spectrum and depth."""
+"""Exact numbers of one pixel of a picture: histogram, time windows, spectrum and depth."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from hueflight.calibration import Calibration
-from hueflight.daemon.pictures import Picture
+from hueflight.daemon.picture import Picture
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.reconstruction.quality import Quality
 
 
 class PixelError(HueflightError):
-    """A pixel that is not in the picture, or no picture yet."""
+    """There is no such pixel, or no picture yet."""
 
 
 def inspect(
@@ -25,12 +25,25 @@ def inspect(
     row: int,
     col: int,
 ) -> dict[str, Any]:
-    """Everything known of a pixel; what is not known is None.
+    """Return all that is known about a pixel; unknown numbers are None.
 
     Parameters
     ----------
-    picture : the newest one.
-    row, col : of the pixel.
+    picture : Picture or None
+        The newest picture.
+    instrument : Instrument
+        Instrument of the picture.
+    calibration : Calibration or None
+        Calibration in use.
+    row : int
+        Row of the pixel.
+    col : int
+        Column of the pixel.
+
+    Returns
+    -------
+    dict
+        Numbers by name, ready for JSON.
 
     Raises
     ------
@@ -38,12 +51,12 @@ def inspect(
         If there is no picture or no such pixel.
     """
     if picture is None:
-        raise PixelError("there is no picture yet: start a run")
+        raise PixelError("there is no picture yet: start a run, or wait for its first picture")
     rows, cols = picture.photons.shape
     if not (0 <= row < rows and 0 <= col < cols):
         raise PixelError(f"pixel ({row}, {col}) is outside the picture of {rows} × {cols}")
     bins = calibration.bins if calibration is not None else instrument.time_bins()
-    light = bins.in_time_order(picture.counts[row, col])
+    counts = bins.in_time_order(picture.histogram[row, col])
     found: dict[str, Any] = {
         "row": row,
         "col": col,
@@ -51,7 +64,7 @@ def inspect(
         "frames": picture.frames,
         "photons": int(picture.photons[row, col]),
         "edges_ns": [round(float(edge), 4) for edge in bins.edges_ns],
-        "counts": light.tolist(),
+        "counts": counts.tolist(),
         "depth_m": None,
         "depth_std_m": None,
         "background": None,
@@ -84,7 +97,7 @@ def inspect(
 def _windows(
     calibration: Calibration, row: int, col: int, depth: float | None
 ) -> list[dict[str, Any]]:
-    """Where each band's pulse falls in this pixel, nanoseconds within the period."""
+    """Time window of each band's pulse in this pixel, in nanoseconds within the period."""
     if depth is None:
         return []
     bins = calibration.bins

@@ -1,4 +1,4 @@
-"""Things per second, over the last second or two."""
+"""Rates of running totals, averaged over the last two seconds."""
 
 from __future__ import annotations
 
@@ -8,14 +8,22 @@ WINDOW_S = 2.0
 _LEAST_S = 0.2
 
 
-class Rates:
-    """Differences of running totals."""
+class RateMeter:
+    """Turns running totals into rates per second."""
 
     def __init__(self) -> None:
         self._samples: deque[tuple[float, dict[str, int]]] = deque()
 
     def update(self, now: float, **totals: int) -> None:
-        """Take the totals as they stand at `now`, by a clock that does not jump."""
+        """Take the present totals.
+
+        Parameters
+        ----------
+        now : float
+            Monotonic clock, in seconds.
+        **totals : int
+            Totals by name.
+        """
         if self._samples and now - self._samples[-1][0] < _LEAST_S:
             return
         self._samples.append((now, totals))
@@ -23,7 +31,7 @@ class Rates:
             self._samples.popleft()
 
     def per_second(self) -> dict[str, float]:
-        """Rates by name; empty until there is something to compare."""
+        """Return rates by name; empty until there are two samples."""
         if len(self._samples) < 2:
             return {}
         (then, old), (now, new) = self._samples[0], self._samples[-1]

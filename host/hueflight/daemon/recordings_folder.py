@@ -1,4 +1,4 @@
-"""Names that clients may choose, and the only folder they lead to."""
+"""The folder of the daemon's recordings, and the names that clients may choose in it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from hueflight.recording.layout import SUFFIX, segment_files
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
-class FileNameError(HueflightError):
-    """A name that is not allowed, is taken, or does not exist."""
+class RecordingNameError(HueflightError):
+    """A name that is not allowed, or that is taken."""
 
 
 def timestamp_name() -> str:
-    """A name for now: 20240131T235959Z."""
+    """Return a name for the present moment in UTC, such as 20240131T235959123Z."""
     return datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")[:-4] + "Z"
 
 
-class Folder:
-    """Recordings of the daemon.
+class RecordingsFolder:
+    """Recordings of the daemon by name; no name leads out of the folder.
 
     Parameters
     ----------
-    root : made if it is not there.
+    root : Path
+        The folder, which is made if it does not exist.
     """
 
     def __init__(self, root: Path, /) -> None:
@@ -34,33 +35,61 @@ class Folder:
         self.root = root.resolve()
 
     def path(self, name: str, /) -> Path:
-        """Where the recording called `name` is or will be.
+        """Return the path of the first file of the recording called `name`.
+
+        Parameters
+        ----------
+        name : str
+            Name of a recording, which need not exist.
+
+        Returns
+        -------
+        Path
+            Path in this folder.
 
         Raises
         ------
-        FileNameError
+        RecordingNameError
             If the name holds anything but letters, digits, ``_`` and ``-``.
         """
         if not NAME.fullmatch(name):
-            raise FileNameError(
+            raise RecordingNameError(
                 f"name {name[:80]!r}: must be 1 to 64 letters, digits, '_' and '-', and begin with "
                 "a letter or digit"
             )
         path = self.root / f"{name}{SUFFIX}"
         # a link that somebody put into the folder must not lead out of it either
         if path.resolve().parent != self.root:
-            raise FileNameError(f"recording {name!r} lies outside the data folder")
+            raise RecordingNameError(f"recording {name!r} lies outside the data folder")
         return path
 
-    def fresh(self, name: str, /) -> Path:
-        """The path of a recording that does not exist yet."""
+    def new_path(self, name: str, /) -> Path:
+        """Return the path of a recording that does not exist yet.
+
+        Parameters
+        ----------
+        name : str
+            Name of the new recording.
+
+        Returns
+        -------
+        Path
+            Path in this folder.
+
+        Raises
+        ------
+        RecordingNameError
+            If the name is not allowed, or a recording of this name has any files.
+        """
         path = self.path(name)
         if any(segment_files(path)):
-            raise FileNameError(f"there is a recording {name!r} already: choose another name")
+            raise RecordingNameError(
+                f"a recording called {name!r} exists already: choose another name"
+            )
         return path
 
     def listing(self) -> list[dict[str, str | int]]:
-        """Finished recordings, newest first, with the size of all their segments."""
+        """Return the finished recordings, newest first, each with the size of all its segments."""
         found = []
         for path in self.root.glob(f"*{SUFFIX}"):
             name = path.name[: -len(SUFFIX)]

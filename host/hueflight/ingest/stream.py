@@ -14,6 +14,7 @@ from hueflight.ingest.accumulator import Counts, HistogramAccumulator, Overflow,
 from hueflight.ingest.buffer import BUFFER_BYTES, PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels
 from hueflight.ingest.report import IngestReport
+from hueflight.ingest.sliding_sum import SlidingSum
 from hueflight.model.instrument import Instrument
 
 
@@ -114,7 +115,7 @@ class HistogramStream:
         self._threads = checked_threads(threads)
         self._kernels = kernels or backends.choose()
         self._buffer = PacketBuffer(instrument.sensor, self._kernels, capacity=buffer_bytes)
-        self._window = _Window(window_blocks, instrument.histogram_shape)
+        self._window = _Window(window_blocks)
         self._accumulators: dict[int, HistogramAccumulator] = {}
         self._spare: list[Counts] = []
         self._counted = 0  # frames of the current block
@@ -275,31 +276,22 @@ class HistogramStream:
 
 
 class _Window:
-    """Sum of the latest blocks: adds the new block and subtracts the oldest one."""
+    """The latest blocks, merged into one."""
 
-    def __init__(self, blocks: int, shape: tuple[int, int, int]) -> None:
+    def __init__(self, blocks: int) -> None:
         self._blocks: deque[Block] = deque(maxlen=blocks)
-        self._sums: dict[int, Counts] = {}
-        self._shape = shape
+        self._sum = SlidingSum(blocks, dtype=np.uint32)
 
     def slide(self, block: Block) -> Block:
         if self._blocks.maxlen == 1:
             return block
-        if len(self._blocks) == self._blocks.maxlen:
-            for step, counts in self._blocks[0].counts.items():
-                self._sums[step] -= counts
         self._blocks.append(block)
-        for step, counts in block.counts.items():
-            if step not in self._sums:
-                self._sums[step] = np.zeros(self._shape, np.uint32)
-            self._sums[step] += counts
-        kept = {step for each in self._blocks for step in each.counts}
-        self._sums = {step: self._sums[step] for step in sorted(kept)}
+        self._sum.add(block.counts, block.frames)
         first = self._blocks[0]
         return replace(
             block,
-            counts={step: counts.copy() for step, counts in self._sums.items()},
-            frames=sum(each.frames for each in self._blocks),
+            counts={step: counts.copy() for step, counts in self._sum.sums.items()},
+            frames=self._sum.frames,
             first_frame=first.first_frame,
             first_tick=first.first_tick,
         )

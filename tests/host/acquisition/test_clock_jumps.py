@@ -80,8 +80,8 @@ def test_a_recording_with_a_gap(
 
 def test_names_of_recordings_stay_apart(jumps: list[int], tmp_path: Path) -> None:
     """A clock that goes back may give a name again; the recording of that name is kept."""
-    folder = files.Folder(tmp_path)
+    folder = files.RecordingsFolder(tmp_path)
     name = files.timestamp_name()
-    folder.fresh(name).write_bytes(b"earlier")
-    with pytest.raises(files.FileNameError, match="already"):
-        folder.fresh(name)
+    folder.new_path(name).write_bytes(b"earlier")
+    with pytest.raises(files.RecordingNameError, match="already"):
+        folder.new_path(name)

@@ -15,8 +15,8 @@ pytest.importorskip("httpx2", reason="httpx2 is not installed (extra dev)")
 from starlette.testclient import TestClient
 
 import hueflight as hf
-from hueflight.daemon.app import make_app
 from hueflight.daemon.config import DaemonConfig, ServerConfig
+from hueflight.daemon.http.app import make_app
 from hueflight.devices import Camera, Rig
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport

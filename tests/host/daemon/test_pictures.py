@@ -13,8 +13,10 @@ import pytest
 
 import hueflight as hf
 from hueflight.acquisition.snapshot import LiveBlock
-from hueflight.daemon.latency import Latencies
-from hueflight.daemon.pictures import REFRESH_S, IncrementalFitter, Picture, Pictures
+from hueflight.daemon.incremental_fitter import REFRESH_S, IncrementalFitter
+from hueflight.daemon.latency import LatencyMeter
+from hueflight.daemon.picture import Picture
+from hueflight.daemon.pictures import Pictures
 from hueflight.reconstruction.quality import Quality
 
 WAIT_S = 20
@@ -56,7 +58,7 @@ def test_a_picture_is_of_the_newest_blocks_of_its_run(
             same = [b for b in offered if (b.run, list(b.block.counts)) == (run, [step])]
             newest = same[-blocks:]
             wanted = sum(live.block.counts[step].astype(np.uint32) for live in newest)
-            assert np.array_equal(made[-1].counts, wanted)
+            assert np.array_equal(made[-1].histogram, wanted)
             assert made[-1].frames == 10 * len(newest)
     finally:
         pictures.close()
@@ -92,7 +94,7 @@ def test_while_nobody_looks_pictures_are_few(
     added = threading.Semaphore(0)
     monkeypatch.setattr("hueflight.daemon.pictures.time.monotonic", lambda: now_s)
     pictures = Pictures(
-        instrument, on_picture=made.append, looked_at=lambda: (looking, added.release())[0]
+        instrument, on_picture=made.append, is_watched=lambda: (looking, added.release())[0]
     )
     source = Source(instrument.histogram_shape)
     try:
@@ -125,11 +127,11 @@ def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrumen
             assert done.acquire(timeout=WAIT_S)
     finally:
         pictures.close()
-    assert (made[-1].counts == 120_000).all()
+    assert (made[-1].histogram == 120_000).all()
 
 
 def test_delays_and_their_parts() -> None:
-    latencies = Latencies()
+    latencies = LatencyMeter()
     assert latencies.as_dict() is None
     for way in (0.01, 0.02, 0.03):
         picture: Any = SimpleNamespace(received_s=5.0, begun_s=5.1, ready_s=5.4)
@@ -150,11 +152,11 @@ def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
 ) -> None:
     wide = small(rows=24, cols=24)
     calibration = hf.calibrate(draw(wide, photons=20_000), wide, distance=0.5)
-    film = IncrementalFitter(change_sigma=4.0, threads=1)
+    fitter = IncrementalFitter(change_sigma=4.0, threads=1)
 
     def skipped(frames: int, seed: int) -> float:
         counts = draw(wide, depth=0.9, photons=1.3 * frames, frames=frames, seed=seed)
-        image = film.next(counts.astype(np.uint16), calibration, frames)
+        image = fitter.fit(counts.astype(np.uint16), calibration, frames)
         return float((image["quality"].values & int(Quality.SKIPPED) != 0).mean())
 
     assert skipped(100, seed=1) == 0
@@ -163,14 +165,14 @@ def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
     assert skipped(400, seed=3) > 0.99
     assert skipped(300, seed=4) > 0.99
     later = time.monotonic() + REFRESH_S + 1
-    monkeypatch.setattr("hueflight.daemon.pictures.time.monotonic", lambda: later)
+    monkeypatch.setattr("hueflight.daemon.incremental_fitter.time.monotonic", lambda: later)
     assert skipped(400, seed=5) == 0  # all had their turn meanwhile
     calibration = hf.calibrate(draw(wide, photons=20_000, seed=9), wide, distance=0.5)
     assert skipped(400, seed=6) == 0
     every = IncrementalFitter(change_sigma=0.0, threads=1)
     for seed in (7, 8):
         counts = draw(wide, depth=0.9, photons=500, frames=400, seed=seed)
-        image = every.next(counts.astype(np.uint16), calibration, 400)
+        image = every.fit(counts.astype(np.uint16), calibration, 400)
         expected = hf.reconstruct(counts.astype(np.uint16), calibration)
         np.testing.assert_array_equal(image["depth"], expected["depth"])
 
@@ -188,12 +190,12 @@ def test_every_pixel_has_its_turn_once_in_a_while(
     counts = draw(wide, depth=0.9, photons=500, frames=400, seed=2).astype(np.uint16)
     now_s = 1000.0
     monkeypatch.setattr("hueflight.daemon.pictures.time.monotonic", lambda: now_s)
-    film = IncrementalFitter(change_sigma=4.0, threads=1)
-    film.next(counts, calibration, 400)
+    fitter = IncrementalFitter(change_sigma=4.0, threads=1)
+    fitter.fit(counts, calibration, 400)
     fitted = np.zeros((24, 24), int)
     for _ in range(pictures):
         now_s += REFRESH_S / pictures
-        image = film.next(counts, calibration, 400)
+        image = fitter.fit(counts, calibration, 400)
         now = image["quality"].values & int(Quality.SKIPPED) == 0
         # none too many at once; times are rounded, and unusable pixels are not fitted at all
         assert now.sum() <= 24 * 24 / pictures + 1

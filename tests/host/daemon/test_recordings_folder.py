@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import hueflight as hf
-from hueflight.daemon.recordings_folder import FileNameError, Folder
+from hueflight.daemon.recordings_folder import RecordingNameError, RecordingsFolder
 from hueflight.recording import RecordingWriter
 from hueflight.recording.layout import part_path, segment_path
 from hueflight_protocol import encode_frame
@@ -28,32 +28,32 @@ def test_a_name_stays_in_the_folder_or_is_refused(
     tmp_path_factory: pytest.TempPathFactory, name: str
 ) -> None:
     root = tmp_path_factory.getbasetemp() / "names"
-    folder = Folder(root)
+    folder = RecordingsFolder(root)
     try:
         path = folder.path(name)
-    except FileNameError:
+    except RecordingNameError:
         return
     assert path.parent == root.resolve()
     assert path.name == f"{name}.mcap"
 
 
 def test_links_that_lead_out_are_refused(tmp_path: Path) -> None:
-    folder = Folder(tmp_path / "data")
+    folder = RecordingsFolder(tmp_path / "data")
     (tmp_path / "data" / "link.mcap").symlink_to(tmp_path / "elsewhere.mcap")
-    with pytest.raises(FileNameError, match="outside the data folder"):
+    with pytest.raises(RecordingNameError, match="outside the data folder"):
         folder.path("link")
 
 
 def test_names_are_used_once(tmp_path: Path) -> None:
-    folder = Folder(tmp_path)
+    folder = RecordingsFolder(tmp_path)
     (tmp_path / "a.mcap").write_bytes(b"")
     part_path(tmp_path / "b.mcap").write_bytes(b"")
     segment_path(tmp_path / "c.mcap", 3).write_bytes(b"")
     part_path(segment_path(tmp_path / "d.mcap", 3)).write_bytes(b"")
-    assert folder.fresh("e").name == "e.mcap"
+    assert folder.new_path("e").name == "e.mcap"
     for taken in ("a", "b", "c", "d"):
-        with pytest.raises(FileNameError, match="already"):
-            folder.fresh(taken)
+        with pytest.raises(RecordingNameError, match="exists already"):
+            folder.new_path(taken)
 
 
 def test_a_listed_recording_has_the_size_of_all_its_segments(
@@ -64,7 +64,7 @@ def test_a_listed_recording_has_the_size_of_all_its_segments(
     packets = [
         encode_frame(frame, sequence=i, frame=i, timestamp=i) for i, frame in enumerate(codes)
     ]
-    folder = Folder(tmp_path / "data")
+    folder = RecordingsFolder(tmp_path / "data")
     for name in ("run", "run2"):
         with RecordingWriter(
             folder.path(name), instrument, segment_bytes=1000, chunk_bytes=300

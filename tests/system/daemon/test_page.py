@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hueflight.daemon.server import REQUEST_S
+from hueflight.daemon.http.server import REQUEST_S
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.recording import open_recording
 from support.browser import open_browser, require_chromium

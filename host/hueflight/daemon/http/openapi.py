@@ -1,4 +1,4 @@
-"""The OpenAPI description of the API, written from the table of operations."""
+"""The OpenAPI description of the API, generated from the table of operations."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from hueflight.daemon.operations import OPERATIONS, Operation
+from hueflight.daemon.http.operations import OPERATIONS, Operation
 
 _ERROR = {
     "type": "object",
@@ -15,22 +15,29 @@ _ERROR = {
     "required": ["error"],
 }
 _REFUSALS = {
-    "400": "not a request that can be read",
-    "401": "a token is required",
-    "403": "from a page of another origin",
-    "413": "the body is too large",
-    "421": "not a host that is served here",
-    "429": "too many requests",
+    "400": "The request is malformed.",
+    "401": "A token is required.",
+    "403": "The request comes from a page of another origin.",
+    "413": "The body of the request is too large.",
+    "421": "The daemon does not serve the host that the request names.",
+    "429": "The client sends too many requests.",
 }
 
 
 def describe(*, name: str, token: bool) -> dict[str, Any]:
-    """The whole description, OpenAPI 3.1.
+    """Return the description of the API in OpenAPI 3.1.
 
     Parameters
     ----------
-    name : of the daemon.
-    token : whether one is required.
+    name : str
+        Name of the daemon.
+    token : bool
+        True if clients must send a token.
+
+    Returns
+    -------
+    dict
+        The description, ready for JSON.
     """
     bodies = [op.body for op in OPERATIONS if op.body is not None]
     _, components = msgspec.json.schema_components(
@@ -42,10 +49,12 @@ def describe(*, name: str, token: bool) -> dict[str, Any]:
     paths["/health"] = {
         "get": {
             "operationId": "health",
-            "summary": "Whether the daemon does its work",
+            "summary": "Check whether the camera is connected and recordings are stored",
             "responses": {
-                "200": _answer("all is well", {"type": "object"}),
-                "503": _answer("the camera is away, or recording has failed", {"type": "object"}),
+                "200": _answer("The daemon works.", {"type": "object"}),
+                "503": _answer(
+                    "The camera is disconnected, or a recording has failed.", {"type": "object"}
+                ),
             }
             | _refusals(),
         }
@@ -55,7 +64,10 @@ def describe(*, name: str, token: bool) -> dict[str, Any]:
         "info": {
             "title": f"Hueflight capture daemon {name!r}",
             "version": version("hueflight"),
-            "description": "Pictures come over the web socket `/api/live`; see docs/daemon.md.",
+            "description": (
+                "Control of one camera: live pictures, recordings and calibrations. Live pictures "
+                "are sent over the web socket `/api/live`."
+            ),
         },
         "paths": paths,
         "components": {"schemas": components | {"Error": _ERROR}},
@@ -70,12 +82,18 @@ def _operation(operation: Operation) -> dict[str, Any]:
     described: dict[str, Any] = {
         "operationId": operation.name,
         "summary": operation.summary,
-        "responses": {"200": _answer("done", {"type": "object"})} | _refusals(),
+        "responses": {"200": _answer(operation.result, {"type": "object"})} | _refusals(),
     }
     if operation.query is not None:
         schema = msgspec.json.schema(operation.query)["$defs"][operation.query.__name__]
         described["parameters"] = [
-            {"name": name, "in": "query", "required": True, "schema": field}
+            {
+                "name": name,
+                "in": "query",
+                "required": True,
+                "description": field.pop("description"),
+                "schema": field,
+            }
             for name, field in schema["properties"].items()
         ]
     if operation.body is not None:
@@ -84,13 +102,16 @@ def _operation(operation: Operation) -> dict[str, Any]:
             "required": True,
             "content": {"application/json": {"schema": reference}},
         }
-        described["responses"]["415"] = _error("the body must be application/json")
+        described["responses"]["415"] = _error("The body of the request is not declared as JSON.")
     if operation.body is not None or operation.query is not None:
-        described["responses"]["422"] = _error("a value is missing, unknown or out of range")
+        described["responses"]["422"] = _error("A value is missing, unknown or out of range.")
     if operation.conflicts:
-        described["responses"]["409"] = _error("what goes on already does not allow it")
+        described["responses"]["409"] = _error(
+            "The request conflicts with the present state: an operation in progress, an existing "
+            "recording of the same name, or a missing calibration."
+        )
     if operation.missing:
-        described["responses"]["404"] = _error("there is no such thing")
+        described["responses"]["404"] = _error("There is no such pixel, or no picture yet.")
     return described
 
 

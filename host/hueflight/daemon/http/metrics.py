@@ -1,4 +1,4 @@
-"""Counters and gauges for Prometheus, read from the same status that people see."""
+"""Counters and gauges for Prometheus, taken from the same status that the page shows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hueflight.daemon.service import Service
 
 
 def thread_cpu_s() -> dict[str, float]:
-    """CPU seconds of each thread of this program that has a name of its own."""
+    """Return CPU seconds by thread name; numbered names count together."""
     found: dict[str, float] = {}
     for thread in threading.enumerate():
         if thread.ident is None:
@@ -53,18 +53,24 @@ class _Status(Collector):
 def _counters(status: dict[str, Any]) -> Iterator[Metric]:
     totals, link = status["totals"], status["link"]
     for name, text, value in (
-        ("frames_exposed", "Frames that the camera took", totals["exposed"]),
+        ("frames_exposed", "Frames that the camera exposed", totals["exposed"]),
         ("frames_delivered", "Frames counted into histograms", totals["delivered"]),
-        ("photons", "Photons in them", totals["photons"]),
-        ("received_bytes", "Bytes from the camera", totals["bytes"]),
+        ("photons", "Photons in the frames delivered", totals["photons"]),
+        ("received_bytes", "Bytes received from the camera", totals["bytes"]),
         ("pictures", "Pictures reconstructed", status["picture"]["number"]),
-        ("pictures_skipped", "Histograms too old to be shown", status["picture"]["skipped"]),
+        (
+            "pictures_skipped",
+            "Histograms outdated before they were reconstructed",
+            status["picture"]["skipped"],
+        ),
         ("connections", "Times the camera was opened", link["connections"]),
         ("link_errors", "Stalls, overflows and failed transfers", link["errors"]),
-        ("host_stalls", "Times the host asked the camera for nothing", link["stalls"]),
+        ("host_stalls", "Times the host was too busy to ask the camera for data", link["stalls"]),
     ):
         yield CounterMetricFamily(f"hueflight_{name}", text, value=value)
-    lost = CounterMetricFamily("hueflight_frames_lost", "Frames lost, by place", labels=["place"])
+    lost = CounterMetricFamily(
+        "hueflight_frames_lost", "Frames lost, by the place of the loss", labels=["place"]
+    )
     for place, frames in status["lost"].items():
         lost.add_metric([place], frames)
     yield lost
@@ -74,28 +80,40 @@ def _gauges(status: dict[str, Any]) -> Iterator[Metric]:
     age = status["picture"]["age_s"]
     latency = status["latency_s"] or {}
     for name, text, value in (
-        ("running", "1 while a run is on", status["state"] == "running"),
-        ("camera_connected", "1 while the camera is there", status["state"] != "disconnected"),
+        ("running", "1 during a run", status["state"] == "running"),
+        ("camera_connected", "1 while the camera is connected", status["state"] != "disconnected"),
         ("simulated", "1 if the photons are simulated", status["simulated"]),
-        ("recording", "1 while a recording is being made", bool(status["recording"]["name"])),
-        ("recording_failed", "1 if it has broken off", bool(status["recording"]["failure"])),
-        ("recorder_queue_bytes", "Bytes waiting for disk", status["recording"]["queue_bytes"]),
+        ("recording", "1 during a recording", bool(status["recording"]["name"])),
+        (
+            "recording_failed",
+            "1 if the recording was interrupted by a failure",
+            bool(status["recording"]["failure"]),
+        ),
+        ("recorder_queue_bytes", "Bytes waiting for the disk", status["recording"]["queue_bytes"]),
         ("link_queue_bytes", "Bytes waiting to be counted", status["link"]["queue_bytes"]),
         ("picture_age_seconds", "Age of the latest picture", float("nan") if age is None else age),
-        ("viewers", "Open live pictures", status["viewers"]),
-        ("latency_p50_seconds", "Last photon to shown, median", latency.get("p50", float("nan"))),
-        ("latency_p99_seconds", "Last photon to shown, 99 %", latency.get("p99", float("nan"))),
+        ("viewers", "Viewers of the live picture", status["viewers"]),
+        (
+            "latency_p50_seconds",
+            "Time from last photon to display, median",
+            latency.get("p50", float("nan")),
+        ),
+        (
+            "latency_p99_seconds",
+            "Time from last photon to display, 99th percentile",
+            latency.get("p99", float("nan")),
+        ),
     ):
         yield GaugeMetricFamily(f"hueflight_{name}", text, value=float(value))
 
 
 def make_registry(service: Service) -> CollectorRegistry:
-    """A registry of one daemon."""
+    """Return a registry of the metrics of one daemon."""
     registry = CollectorRegistry()
     registry.register(_Status(service))
     return registry
 
 
 def render(registry: CollectorRegistry) -> bytes:
-    """The text format of Prometheus."""
+    """Return the metrics in the text format of Prometheus."""
     return generate_latest(registry)

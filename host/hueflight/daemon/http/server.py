@@ -1,4 +1,4 @@
-"""Running the daemon: a socket, a web server with limits, an end that finishes recordings."""
+"""Run the daemon: a socket, a web server with limits, and a shutdown that finishes recordings."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ import structlog
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from hueflight.daemon.app import make_app
 from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
+from hueflight.daemon.http.app import make_app
 from hueflight.devices.rig import Connect
 from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
-REQUEST_S = 10.0  #: a request must have come in by then
-UNREAD_S = 30.0  #: a client that takes nothing of what is sent is cut off
-IDLE_S = 5  #: an idle connection is closed after so long
+REQUEST_S = 10.0  #: a request must have arrived completely within this time
+UNREAD_S = 30.0  #: a client that receives nothing for so long is disconnected
+IDLE_S = 5  #: idle connections are closed after this time
 HEADER_BYTES = 1 << 14
 VIEWER_MESSAGE_BYTES = 1 << 12
 END_S = 5
 
 
-class _Impatient(H11Protocol):
-    """HTTP/1.1 that hangs up on clients who take for ever to send a request, body included."""
+class _TimedRequests(H11Protocol):
+    """HTTP/1.1 with a time limit for the arrival of each request, body included."""
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -47,7 +47,7 @@ class _Impatient(H11Protocol):
         super().on_response_complete()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        self._deadline.cancel()  # the connection is another protocol's from here on
+        self._deadline.cancel()  # web sockets have no such limit
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -56,12 +56,22 @@ class _Impatient(H11Protocol):
 
 
 def open_socket(config: DaemonConfig) -> socket.socket:
-    """The socket to listen on.
+    """Return the socket on which the daemon listens.
+
+    Parameters
+    ----------
+    config : DaemonConfig
+        Configuration.
+
+    Returns
+    -------
+    socket.socket
+        Listening socket.
 
     Raises
     ------
     ConfigError
-        If the address can't be had.
+        If the address is not available.
     """
     server = config.server
     family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
@@ -78,13 +88,27 @@ def open_socket(config: DaemonConfig) -> socket.socket:
 
 
 def web_server(app: Any, config: ServerConfig, /) -> uvicorn.Server:
-    """A server of an ASGI app that bounds what clients may ask of it, in size, number and time."""
+    """Return a server of an ASGI application with limits on size, number and time of requests.
+
+    Parameters
+    ----------
+    app : ASGI application
+        Application to serve.
+    config : ServerConfig
+        Limits.
+
+    Returns
+    -------
+    uvicorn.Server
+        The server, not started.
+    """
     return uvicorn.Server(
         uvicorn.Config(
             app,
-            http=_Impatient,
+            http=_TimedRequests,
             ws="websockets-sansio",
-            ws_per_message_deflate=False,  # pictures hardly shrink, and it costs most of a core
+            # pictures hardly shrink, and compression takes most of a core
+            ws_per_message_deflate=False,
             ws_max_size=VIEWER_MESSAGE_BYTES,
             ws_ping_interval=20.0,
             ws_ping_timeout=20.0,
@@ -101,19 +125,28 @@ def web_server(app: Any, config: ServerConfig, /) -> uvicorn.Server:
 
 
 def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> None:
-    """Run until SIGINT or SIGTERM.
+    """Run the daemon until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    config : DaemonConfig
+        Configuration.
+    connect : callable
+        Opens the rig; see `hueflight.devices.rig.Connect`.
+    instrument : Instrument
+        Instrument that the camera belongs to.
 
     Raises
     ------
     ConfigError
-        If the address can't be had, or a token is needed and missing.
+        If the address is not available, or a token is required and missing.
     """
     token = config.server.token()
     sock = open_socket(config)
     host, port = sock.getsockname()[:2]
     shown = f"[{host}]" if ":" in host else host
     app = make_app(config, connect, instrument, port=port, token=token)
-    # a full collection goes through all modules for 0.1 s, in which nothing else runs
+    # a full garbage collection of all modules would stop everything else for 0.1 s
     gc.collect()
     gc.freeze()
     log.info("listening", url=f"http://{shown}:{port}/", name=config.name, token=token is not None)

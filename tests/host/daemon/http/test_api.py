@@ -14,7 +14,7 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 import hueflight as hf
-from hueflight.daemon.operations import OPERATIONS
+from hueflight.daemon.http.operations import OPERATIONS
 from hueflight.recording import open_recording
 
 OpenDaemon = Callable[..., Any]
@@ -67,7 +67,7 @@ def test_an_open_recording_is_stopped_by_hand(client: TestClient) -> None:
     name = client.post("/api/recordings", json={}).json()["name"]
     again = client.post("/api/recordings", json={"name": "two"})
     assert again.status_code == 409
-    assert f"recording '{name}' is being made" in again.json()["error"]
+    assert f"recording '{name}' is in progress" in again.json()["error"]
     until(lambda: status(client)["kind"] == "scene", "it has begun")
     assert client.post("/api/recordings/stop").json() == {"name": name}
     until(lambda: not status(client)["recording"]["name"], "it has ended")
@@ -102,8 +102,8 @@ def test_a_pixel(client: TestClient) -> None:
         (b'{"frames": "many"}', 422, "frames"),
         (b'{"path": "/etc/x"}', 422, "path"),
         (b'{"kind": "bands"}', 409, "how many for each LED"),
-        (b"{", 400, "no JSON"),
-        (b"\xff\xfe", 400, "no JSON"),
+        (b"{", 400, "not valid JSON"),
+        (b"\xff\xfe", 400, "not valid JSON"),
         (b"[" * 5000, 422, "Expected `object`"),
     ],
 )

@@ -11,16 +11,16 @@ import xarray as xr
 
 import hueflight as hf
 from hueflight.color import color_picture
-from hueflight.daemon.live_color import Palette
-from hueflight.daemon.picture_message import NOT_KNOWN, encode_picture
-from hueflight.daemon.pictures import Picture
+from hueflight.daemon.http.picture_message import UNKNOWN, encode_picture
+from hueflight.daemon.live_color import LiveColor
+from hueflight.daemon.picture import Picture
 
-PALETTE = Palette(hf.Instrument.load("paper"))
+LIVE_COLOR = LiveColor(hf.Instrument.load("paper"))
 
 
 def picture(image: xr.Dataset | None, photons: np.ndarray) -> Picture:
     return Picture(
-        number=7, kind="scene", counts=np.zeros((*photons.shape, 2), np.uint16), image=image,
+        number=7, kind="scene", histogram=np.zeros((*photons.shape, 2), np.uint16), image=image,
         photons=photons, frames=3, device_s=1.5, received_s=10.0, begun_s=10.1, ready_s=10.25,
     )  # fmt: skip
 
@@ -41,7 +41,7 @@ def decode(message: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 def test_photons_alone_without_a_calibration() -> None:
     photons = np.array([[0, 5, 70_000]])
-    header, planes = decode(encode_picture(picture(None, photons), PALETTE))
+    header, planes = decode(encode_picture(picture(None, photons), LIVE_COLOR))
     assert (header["number"], header["rows"], header["cols"], header["made_ms"]) == (7, 1, 3, 250)
     assert planes["photons"].tolist() == [[0, 5, 65_535]]
     assert list(planes) == ["photons"]
@@ -63,9 +63,9 @@ def test_an_image_in_the_coding_of_the_page() -> None:
             "quality": (("row", "col"), np.full(shape, 33, np.uint16)),
         }
     )
-    header, planes = decode(encode_picture(picture(image, np.ones(shape, int)), PALETTE))
+    header, planes = decode(encode_picture(picture(image, np.ones(shape, int)), LIVE_COLOR))
     known = np.isfinite(depth)
-    assert (planes["depth"][~known] == NOT_KNOWN).all()
+    assert (planes["depth"][~known] == UNKNOWN).all()
     found = planes["depth"][known] * header["depth_scale"]
     assert found == pytest.approx(depth[known], abs=header["depth_scale"])
     assert header["depth_scale"] < 1e-4
@@ -98,7 +98,7 @@ def test_colours_are_near_those_that_weigh_each_pixel(noise: float, tolerance: f
         },
         coords={"wavelength": ("band", nm)},
     )
-    found = Palette(instrument).colours(image)
+    found = LiveColor(instrument).render(image)
     assert found is not None
     expected = color_picture(image, instrument=instrument)
     assert np.sqrt(np.mean((found / 255 - expected) ** 2)) < tolerance
@@ -111,4 +111,4 @@ def test_two_visible_bands_tell_no_colours() -> None:
     paper = hf.Instrument.load("paper")
     bands = tuple(band for band in paper.bands if band.wavelength_nm > 600)[-2:]
     image = xr.Dataset({"reflectance": (("row", "col", "band"), np.ones((2, 2, 2)))})
-    assert Palette(paper.replace(bands=bands)).colours(image) is None
+    assert LiveColor(paper.replace(bands=bands)).render(image) is None

@@ -1,8 +1,9 @@
-"""A picture as one binary message: a JSON header and planes that a browser uploads as they are.
+"""A picture as one binary message: a JSON header, and planes that a browser uploads as they are.
 
-Layout: four bytes, little-endian, with the header's size; the header, padded with spaces so that
-the planes begin on a multiple of 8; the planes, in the order and at the offsets it names.
-Numbers are coded for the eye: the exact ones come from ``/api/pixel``.
+The message is, in this order: four bytes, little-endian, with the size of the header; the header,
+padded with spaces so that the planes begin on a multiple of 8 bytes; the planes, in the order and
+at the offsets that the header states. Values are quantised for display; exact numbers come from
+``/api/pixel``.
 """
 
 from __future__ import annotations
@@ -14,23 +15,36 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.daemon.live_color import Palette
-from hueflight.daemon.pictures import Picture
+from hueflight.daemon.live_color import LiveColor
+from hueflight.daemon.picture import Picture
 
-NOT_KNOWN = 65535  #: of 16-bit planes
-_TOP_PERCENT = 99.0  #: of a band's pixels fit its scale
+UNKNOWN = 65535  #: value of unknown pixels in 16-bit planes
+_TOP_PERCENT = 99.0  #: percentile of a band's reflectance at the top of its scale
 
 
-def encode_picture(picture: Picture, palette: Palette, /) -> bytes:
-    """The message of a picture.
+def encode_picture(picture: Picture, live_color: LiveColor, /) -> bytes:
+    """Return the message of a picture.
 
-    Planes are ``depth`` and ``depth_std`` (uint16, metres = value · scale), ``bands`` (uint8,
+    The planes are ``depth`` and ``depth_std`` (uint16, metres = value · scale), ``bands`` (uint8,
     (band, row, col), reflectance = top[band] · (value/255)²), ``colours`` (uint8, (row, col, 3),
-    sRGB from all bands, if they can tell colours), ``photons`` (uint16, clipped) and ``quality``
-    (uint8, bits of `Quality`). Without a calibration there are only photons.
+    sRGB from all bands, if enough are visible), ``photons`` (uint16, clipped) and ``quality``
+    (uint8, bits of `hueflight.reconstruction.quality.Quality`). Without a calibration there are
+    only photons.
+
+    Parameters
+    ----------
+    picture : Picture
+        The picture.
+    live_color : LiveColor
+        Colours of the instrument's bands.
+
+    Returns
+    -------
+    bytes
+        The message.
     """
     planes: list[tuple[str, NDArray[Any]]] = [
-        ("photons", np.minimum(picture.photons, NOT_KNOWN).astype("<u2"))
+        ("photons", np.minimum(picture.photons, UNKNOWN).astype("<u2"))
     ]
     header: dict[str, Any] = {
         "number": picture.number,
@@ -44,32 +58,32 @@ def encode_picture(picture: Picture, palette: Palette, /) -> bytes:
     image = picture.image
     if image is not None:
         for name in ("depth", "depth_std"):
-            plane, scale = _coded(image[name].values)
+            plane, scale = _quantised(image[name].values)
             header[f"{name}_scale"] = scale
             planes.append((name, plane))
         cube = np.moveaxis(image["reflectance"].values, -1, 0)
-        coded, tops = _for_the_eye(cube)
+        planes_8bit, tops = _square_root_coded(cube)
         header["tops"] = tops
-        planes.append(("bands", coded))
-        colours = palette.colours(image)
-        if colours is not None:
-            planes.append(("colours", colours))
+        planes.append(("bands", planes_8bit))
+        rgb = live_color.render(image)
+        if rgb is not None:
+            planes.append(("colours", rgb))
         planes.append(("quality", image["quality"].values.astype(np.uint8)))
     return _message(header, planes)
 
 
-def _coded(values: NDArray[np.floating]) -> tuple[NDArray[np.uint16], float]:
-    """16-bit numbers and their unit; what is not known is `NOT_KNOWN`."""
+def _quantised(values: NDArray[np.floating]) -> tuple[NDArray[np.uint16], float]:
+    """16-bit numbers and their unit; unknown pixels are `UNKNOWN`."""
     known = np.isfinite(values)
     top = float(values[known].max()) if known.any() else 1.0
-    scale = max(top, 1e-6) / (NOT_KNOWN - 1)
-    coded = np.full(values.shape, NOT_KNOWN, "<u2")
-    coded[known] = np.clip(np.round(values[known] / scale), 0, NOT_KNOWN - 1)
+    scale = max(top, 1e-6) / (UNKNOWN - 1)
+    coded = np.full(values.shape, UNKNOWN, "<u2")
+    coded[known] = np.clip(np.round(values[known] / scale), 0, UNKNOWN - 1)
     return coded, scale
 
 
-def _for_the_eye(cube: NDArray[np.floating]) -> tuple[NDArray[np.uint8], list[float]]:
-    """Each band on a square-root scale of its own, (band, row, col)."""
+def _square_root_coded(cube: NDArray[np.floating]) -> tuple[NDArray[np.uint8], list[float]]:
+    """Each band on a square-root scale, shape (band, row, col), and the top of each scale."""
     filled = np.nan_to_num(cube, nan=0.0, posinf=0.0, neginf=0.0)
     index = int(filled[0].size * _TOP_PERCENT / 100)
     flat = filled.reshape(len(filled), -1)

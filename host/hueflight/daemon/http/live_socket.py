@@ -1,7 +1,7 @@
-"""The web socket of the live page: the newest picture to each viewer, never a queue of old ones.
+"""The web socket of the live page: each viewer gets the newest picture, never a queue of old ones.
 
-A viewer is sent the next picture when it has said that the last one is shown. A slow one sees
-fewer pictures; it can hold up neither the others nor acquisition.
+A viewer is sent the next picture when it has answered that the last one is shown. A slow viewer
+sees fewer pictures; it can delay neither other viewers nor acquisition.
 """
 
 from __future__ import annotations
@@ -16,32 +16,34 @@ import msgspec
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from hueflight.daemon.access import PROTOCOL
-from hueflight.daemon.picture_message import encode_picture
-from hueflight.daemon.pictures import Picture
+from hueflight.daemon.http.access import PROTOCOL
+from hueflight.daemon.http.picture_message import encode_picture
+from hueflight.daemon.picture import Picture
 from hueflight.daemon.service import Service
 
 STATUS_S = 0.5
-SEND_TIMEOUT_S = 15.0  #: a viewer that takes nothing for so long is let go
+SEND_TIMEOUT_S = 15.0  #: a viewer that receives nothing for so long is disconnected
 SHOWN_TIMEOUT_S = 5.0  #: a viewer that never says "shown" gets a picture this often
-MESSAGES_PER_S = 200  #: from a viewer; more is an attack
+MESSAGES_PER_S = 200  #: from a viewer; one that sends more is disconnected
 _REMEMBERED = 64
 _NOTHING = np.empty(0, np.uint16)
 
 
 class Shown(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a viewer says: the number of the picture that is on its screen."""
+    """Message of a viewer: the number of the picture that is on its screen."""
 
     shown: int
 
 
 class Hub:
-    """Spreads pictures to viewers.
+    """Distributes pictures to all viewers.
 
     Parameters
     ----------
-    service : asked for the status; told of latencies.
-    max_viewers : at the same time.
+    service : Service
+        Gives the status and takes latencies.
+    max_viewers : int
+        Most viewers at the same time.
     """
 
     def __init__(self, service: Service, max_viewers: int, /) -> None:
@@ -55,15 +57,17 @@ class Hub:
     def publish(self, picture: Picture, message: bytes) -> None:
         """Offer a picture to all viewers."""
         self._message, self._number = message, picture.number
-        # of what has been sent only the times matter; its arrays would hold much memory
-        self._sent[picture.number] = replace(picture, counts=_NOTHING, photons=_NOTHING, image=None)
+        # only the times of sent pictures are needed; their arrays would occupy much memory
+        self._sent[picture.number] = replace(
+            picture, histogram=_NOTHING, photons=_NOTHING, image=None
+        )
         while len(self._sent) > _REMEMBERED:
             self._sent.popitem(last=False)
         for viewer in self._viewers:
             viewer.offer(picture.number, message)
 
     def shown(self, number: int) -> None:
-        """A viewer has a picture on its screen."""
+        """Note that a viewer has a picture on its screen."""
         picture = self._sent.get(number)
         if picture is not None:
             self._service.latencies.shown(picture, time.monotonic())
@@ -71,7 +75,7 @@ class Hub:
     async def serve(self, socket: WebSocket) -> None:
         """Serve one viewer until it leaves."""
         if len(self._viewers) >= self._max_viewers:
-            await socket.close(1013, f"{self._max_viewers} viewers are here already")
+            await socket.close(1013, f"{self._max_viewers} viewers are connected already")
             return
         offered = socket.scope.get("subprotocols", [])
         await socket.accept(subprotocol=PROTOCOL if PROTOCOL in offered else None)
@@ -81,7 +85,7 @@ class Hub:
         try:
             latest = self._service.pictures.latest
             if latest is not None and latest.number != self._number:
-                message = await asyncio.to_thread(encode_picture, latest, self._service.palette)
+                message = await asyncio.to_thread(encode_picture, latest, self._service.live_color)
                 self.publish(latest, message)
             elif self._message:
                 viewer.offer(self._number, self._message)
@@ -91,28 +95,34 @@ class Hub:
             self._service.viewers = len(self._viewers)
 
     def status(self) -> str:
-        """The status as text."""
+        """Return the status as JSON text."""
         return msgspec.json.encode({"status": self._service.status()}).decode()
 
 
 class Viewer:
-    """One open live picture."""
+    """One viewer of the live picture.
+
+    Parameters
+    ----------
+    socket : WebSocket
+        Its accepted web socket.
+    """
 
     def __init__(self, socket: WebSocket) -> None:
         self._socket = socket
         self._offered: tuple[int, bytes] | None = None
-        self._news = asyncio.Event()
+        self._offered_event = asyncio.Event()
         self._ready = asyncio.Event()
         self._ready.set()
         self._sending = asyncio.Lock()
 
     def offer(self, number: int, message: bytes) -> None:
-        """Put the newest picture in the place of one not yet sent."""
+        """Send this message next, in place of any that is not sent yet."""
         self._offered = (number, message)
-        self._news.set()
+        self._offered_event.set()
 
     async def run(self, hub: Hub) -> None:
-        """Until the viewer leaves, or is let go."""
+        """Serve the viewer until it leaves or is disconnected."""
         tasks = [
             asyncio.create_task(work)
             for work in (self._send_pictures(), self._send_status(hub), self._listen(hub))
@@ -127,14 +137,14 @@ class Viewer:
             try:
                 await asyncio.wait_for(self._socket.close(1008), 1.0)
             except (RuntimeError, TimeoutError, WebSocketDisconnect):
-                return  # it has closed meanwhile
+                return  # it has been closed meanwhile
 
     async def _send_pictures(self) -> None:
         while True:
-            await self._news.wait()
-            with contextlib.suppress(TimeoutError):  # a sleeping tab: a picture now and then
+            await self._offered_event.wait()
+            with contextlib.suppress(TimeoutError):  # a hidden tab gets a picture now and then
                 await asyncio.wait_for(self._ready.wait(), SHOWN_TIMEOUT_S)
-            self._news.clear()
+            self._offered_event.clear()
             self._ready.clear()
             assert self._offered is not None
             async with self._sending, asyncio.timeout(SEND_TIMEOUT_S):
@@ -160,6 +170,6 @@ class Viewer:
             try:
                 shown = msgspec.json.decode(message.get("text") or b"", type=Shown)
             except (msgspec.DecodeError, UnicodeError):
-                return  # not our page
+                return  # this is not the live page
             self._ready.set()
             hub.shown(shown.shown)

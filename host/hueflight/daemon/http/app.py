@@ -1,11 +1,10 @@
-"""The daemon's doors: the page, the API, metrics, health."""
+"""The daemon's ASGI application: the live page, the API, metrics and health."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib import resources
 from typing import Any
 
 import msgspec
@@ -19,29 +18,23 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp
 
 from hueflight.acquisition.plan import CaptureError
-from hueflight.daemon.access import Guard
 from hueflight.daemon.config import DaemonConfig
-from hueflight.daemon.live import Hub
-from hueflight.daemon.metrics import make_registry, render
-from hueflight.daemon.openapi import describe
-from hueflight.daemon.operations import OPERATIONS, Operation
-from hueflight.daemon.picture_message import encode_picture
-from hueflight.daemon.pictures import Picture
+from hueflight.daemon.http.access import AccessControl
+from hueflight.daemon.http.live_socket import Hub
+from hueflight.daemon.http.metrics import make_registry, render
+from hueflight.daemon.http.openapi import describe
+from hueflight.daemon.http.operations import OPERATIONS, Operation
+from hueflight.daemon.http.page_files import page_routes
+from hueflight.daemon.http.picture_message import encode_picture
+from hueflight.daemon.picture import Picture
 from hueflight.daemon.pixel import PixelError
-from hueflight.daemon.recordings_folder import FileNameError
+from hueflight.daemon.recordings_folder import RecordingNameError
 from hueflight.daemon.service import Service
 from hueflight.devices.rig import Connect
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
-TYPES = {
-    ".html": "text/html; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".svg": "image/svg+xml",
-}
-Handler = Callable[[Request], Awaitable[Response]]
 
 
 def make_app(
@@ -53,15 +46,25 @@ def make_app(
     port: int,
     token: str | None,
 ) -> ASGIApp:
-    """The whole application; acquisition begins when the server starts it.
+    """Return the application; acquisition begins when the server starts it.
 
     Parameters
     ----------
-    config : as read.
-    connect : opens the rig.
-    instrument : that it is.
-    port : where the server listens; part of the hosts that browsers may name.
-    token : that clients must show, None for none.
+    config : DaemonConfig
+        Configuration.
+    connect : callable
+        Opens the rig; see `hueflight.devices.rig.Connect`.
+    instrument : Instrument
+        Instrument that the camera belongs to.
+    port : int
+        Port on which the server listens; part of the hosts that requests may name.
+    token : str or None
+        Token that clients must send; None if none is required.
+
+    Returns
+    -------
+    ASGI application
+        The application with access control.
     """
     state: dict[str, Any] = {}
 
@@ -72,8 +75,8 @@ def make_app(
         def on_picture(picture: Picture) -> None:
             hub: Hub | None = state.get("hub")
             if hub is None or not service.viewers:
-                return  # nobody looks: spare the work
-            message = encode_picture(picture, service.palette)
+                return  # nobody is watching: spare the work
+            message = encode_picture(picture, service.live_color)
             loop.call_soon_threadsafe(hub.publish, picture, message)
 
         service = await run_in_threadpool(
@@ -83,7 +86,7 @@ def make_app(
         state["hub"] = Hub(service, config.server.max_viewers)
         state["registry"] = make_registry(service)
         yield
-        log.info("ending")
+        log.info("shutting down")
         await run_in_threadpool(service.close)
         log.info("ended", **service.status()["totals"])
 
@@ -119,14 +122,14 @@ def make_app(
         Route("/metrics", metrics, methods=["GET"]),
         Route("/health", health, methods=["GET"]),
         WebSocketRoute("/api/live", live),
-        *_page_routes(),
+        *page_routes(),
     ]
     app = Starlette(
         routes=routes,
         lifespan=lifespan,
         exception_handlers={HTTPException: _http_error, Exception: _internal_error},
     )
-    return Guard(app, config.server, port=port, token=token)
+    return AccessControl(app, config.server, port=port, token=token)
 
 
 def _route(operation: Operation, state: dict[str, Any]) -> Route:
@@ -147,23 +150,23 @@ def _route(operation: Operation, state: dict[str, Any]) -> Route:
 
 async def _read_body(request: Request, kind: type[Any]) -> Any:
     if request.headers.get("content-type", "").split(";")[0].strip() != "application/json":
-        raise HTTPException(415, "the body must be application/json")
+        raise HTTPException(415, "the body must be JSON: send 'Content-Type: application/json'")
     try:
         body = await request.body()
     except ClientDisconnect:
-        raise HTTPException(413, "the body is too large, or the client has gone") from None
+        raise HTTPException(413, "the body is too large, or the client has disconnected") from None
     try:
         return msgspec.json.decode(body, type=kind)
     except msgspec.ValidationError as error:
         raise HTTPException(422, str(error)) from None
     except (msgspec.DecodeError, UnicodeError) as error:
-        raise HTTPException(400, f"the body is no JSON: {error}") from None
+        raise HTTPException(400, f"the body is not valid JSON: {error}") from None
 
 
 def _read_query(request: Request, kind: type[Any]) -> Any:
     pairs = request.query_params.multi_items()
     if len({name for name, _ in pairs}) < len(pairs):
-        raise HTTPException(422, "a parameter stands twice")
+        raise HTTPException(422, "a query parameter occurs twice")
     try:
         return msgspec.convert(dict(pairs), kind, strict=False)
     except msgspec.ValidationError as error:
@@ -173,7 +176,7 @@ def _read_query(request: Request, kind: type[Any]) -> Any:
 def _status_of(error: HueflightError) -> int:
     if isinstance(error, PixelError):
         return 404
-    if isinstance(error, FileNameError | CaptureError):
+    if isinstance(error, RecordingNameError | CaptureError):
         return 409
     return 500
 
@@ -192,21 +195,6 @@ async def _http_error(_: Request, error: Exception) -> Response:
 
 async def _internal_error(request: Request, error: Exception) -> Response:
     log.error("a request failed", path=request.url.path, error=repr(error), exc_info=error)
-    return _json({"error": "the daemon failed to answer; its log says why"}, 500)
-
-
-def _page_routes() -> list[BaseRoute]:
-    """Every file of the page, read once: no path from a client ever reaches the disk."""
-    routes: list[BaseRoute] = []
-    for entry in (resources.files("hueflight.daemon") / "page").iterdir():
-        suffix = "." + entry.name.rpartition(".")[2]
-        if suffix in TYPES:
-            routes.append(_page_route(entry.name, entry.read_bytes(), TYPES[suffix]))
-    return routes
-
-
-def _page_route(name: str, content: bytes, media_type: str) -> Route:
-    async def handler(_: Request) -> Response:
-        return Response(content, media_type=media_type, headers={"cache-control": "no-cache"})
-
-    return Route("/" if name == "index.html" else f"/{name}", handler, methods=["GET"])
+    return _json(
+        {"error": "the daemon failed to process the request; its log has the details"}, 500
+    )

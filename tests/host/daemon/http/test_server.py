@@ -22,8 +22,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from hueflight.daemon import server
 from hueflight.daemon.config import DaemonConfig, ServerConfig
+from hueflight.daemon.http import server
 
 PATIENCE_S = 1.0
 LONGER_S = 3 * PATIENCE_S

@@ -1,7 +1,8 @@
-"""Who may come in: hosts, origins, tokens, and how much of anything.
+"""Access control: hosts, origins, tokens, and limits on requests.
 
-A daemon on loopback can be reached by every page in the user's browser. So a request must name a
-host that is ours (against DNS rebinding), and if a page sent it, one of our own pages.
+Every page in the user's browser can reach a daemon on loopback. Therefore a request must name a
+host that this daemon serves (against DNS rebinding), and if a page sent it, that page must be the
+daemon's own.
 """
 
 from __future__ import annotations
@@ -18,9 +19,11 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hueflight.daemon.config import LOOPBACK, ServerConfig
 
-PROTOCOL = "hueflight.v1"  #: of the web socket
-TOKEN_PROTOCOL = "hueflight.token."  #: browsers can't set headers of a web socket
-OPEN_PATHS = ("/health",)  #: need no token; nor does the page, which holds no secret
+PROTOCOL = "hueflight.v1"  #: subprotocol of the web socket
+TOKEN_PROTOCOL = (
+    "hueflight.token."  #: prefix of a token: browsers can't set headers of a web socket
+)
+#: paths that need the token; the page, which holds no secret, and /health need none
 GUARDED = ("/api/", "/metrics", "/openapi.json")
 _CLIENTS_KEPT = 1024
 _HEADERS = [
@@ -37,23 +40,35 @@ _HEADERS = [
 ]
 
 
-class Refused(Exception):  # noqa: N818 - a decision, not an error
-    """A request that is not let in."""
+class RequestRefused(Exception):  # noqa: N818 - a decision, not an error
+    """A request that is refused.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    reason : str
+        Reason for the client.
+    """
 
     def __init__(self, status: int, reason: str) -> None:
         super().__init__(reason)
         self.status = status
 
 
-class Guard:
-    """Middleware around everything.
+class AccessControl:
+    """Middleware that refuses requests which are not allowed.
 
     Parameters
     ----------
-    app : what is guarded.
-    config : limits.
-    port : where the daemon listens.
-    token : that clients must show, None for none.
+    app : ASGI application
+        Application behind it.
+    config : ServerConfig
+        Hosts and limits.
+    port : int
+        Port on which the daemon listens.
+    token : str or None
+        Token that clients must send; None if none is required.
     """
 
     def __init__(
@@ -66,7 +81,7 @@ class Guard:
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request in, or answer why not."""
+        """Pass a request on, or answer why it is refused."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -74,26 +89,31 @@ class Guard:
             headers = _headers(scope)
             self._check(scope, headers)
             limited = _Body(receive, self._config.max_body_bytes, headers)
-        except Refused as refused:
+        except RequestRefused as refused:
             await _refuse(scope, receive, send, refused)
             return
-        await self._app(scope, limited if scope["type"] == "http" else receive, _stamped(send))
+        await self._app(
+            scope, limited if scope["type"] == "http" else receive, _with_security_headers(send)
+        )
 
     def _check(self, scope: Scope, headers: MutableMapping[str, str]) -> None:
         self._check_rate((scope.get("client") or ("unknown", 0))[0])
         host = headers.get("host", "")
-        if not self._is_ours(host):
-            raise Refused(421, f"host {host[:80]!r} is not served here: see server.allowed_hosts")
+        if not self._is_served(host):
+            raise RequestRefused(
+                421,
+                f"host {host[:80]!r} is not served by this daemon: add it to server.allowed_hosts",
+            )
         origin = headers.get("origin")
         if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            raise Refused(403, "the request comes from a page of another origin")
+            raise RequestRefused(403, "the request comes from a page of another origin")
         site = headers.get("sec-fetch-site", "none")
         if site not in ("same-origin", "none") and scope["path"].startswith(GUARDED):
-            raise Refused(403, "the request comes from a page of another site")
+            raise RequestRefused(403, "the request comes from a page of another site")
         if self._token is not None and scope["path"].startswith(GUARDED):
             self._check_token(headers)
 
-    def _is_ours(self, host: str) -> bool:
+    def _is_served(self, host: str) -> bool:
         try:
             parts = urlsplit(f"//{host}")
             name, port = parts.hostname or "", parts.port
@@ -108,10 +128,12 @@ class Guard:
             if offered.strip().startswith(TOKEN_PROTOCOL):
                 shown = offered.strip().removeprefix(TOKEN_PROTOCOL)
         if not hmac.compare_digest(shown.encode(), self._token.encode()):
-            raise Refused(401, "a token is required: Authorization: Bearer TOKEN")
+            raise RequestRefused(
+                401, "a token is required: send the header 'Authorization: Bearer TOKEN'"
+            )
 
     def _check_rate(self, client: str) -> None:
-        """A bucket of requests for each address, refilled at a steady rate."""
+        """Limit requests of each address with a token bucket."""
         config, now = self._config, time.monotonic()
         left, since = self._buckets.pop(client, (float(config.burst), now))
         left = min(float(config.burst), left + (now - since) * config.requests_per_s)
@@ -120,7 +142,7 @@ class Guard:
         while len(self._buckets) > _CLIENTS_KEPT:
             self._buckets.popitem(last=False)
         if not allowed:
-            raise Refused(429, f"more than {config.requests_per_s:g} requests a second")
+            raise RequestRefused(429, f"more than {config.requests_per_s:g} requests per second")
 
 
 class _Body:
@@ -128,33 +150,33 @@ class _Body:
 
     def __init__(self, receive: Receive, limit: int, headers: MutableMapping[str, str]) -> None:
         self._receive, self._left, self._limit = receive, limit, limit
-        told = headers.get("content-length", "0")
-        if not told.isdigit() or int(told) > limit:
-            raise Refused(413, f"a request may have {limit} bytes")
+        length = headers.get("content-length", "0")
+        if not length.isdigit() or int(length) > limit:
+            raise RequestRefused(413, f"the body of a request may have at most {limit} bytes")
 
     async def __call__(self) -> Message:
         message = await self._receive()
         if message["type"] == "http.request":
             self._left -= len(message.get("body", b""))
             if self._left < 0:
-                # as if the client had gone: nothing of it is looked at
+                # as if the client had disconnected: none of the body is used
                 return {"type": "http.disconnect"}
         return message
 
 
 def _headers(scope: Scope) -> MutableMapping[str, str]:
-    """Header fields by lower-case name; one that decides who comes in may stand once only."""
+    """Header fields by lower-case name; those that decide about access may occur only once."""
     found: dict[str, str] = {}
     for raw_name, raw_value in scope["headers"]:
         name = raw_name.decode("latin-1").lower()
         if name in found and name in ("host", "origin", "authorization", "content-length"):
-            raise Refused(400, f"header {name!r} stands twice")
+            raise RequestRefused(400, f"header {name!r} occurs twice")
         found[name] = raw_value.decode("latin-1")
     return found
 
 
-def _stamped(send: Send) -> Send:
-    async def stamped(message: Message) -> None:
+def _with_security_headers(send: Send) -> Send:
+    async def send_with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             names = {name.lower() for name, _ in message["headers"]}
             extra = [pair for pair in _HEADERS if pair[0] not in names]
@@ -163,10 +185,10 @@ def _stamped(send: Send) -> Send:
             message = {**message, "headers": [*message["headers"], *extra]}
         await send(message)
 
-    return stamped
+    return send_with_headers
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, refused: Refused) -> None:
+async def _refuse(scope: Scope, receive: Receive, send: Send, refused: RequestRefused) -> None:
     if scope["type"] == "websocket":
         await receive()
         await send({"type": "websocket.close", "code": 1008, "reason": str(refused)[:120]})
@@ -177,6 +199,6 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, refused: Refused) 
     if refused.status == 429:
         headers.append((b"retry-after", b"1"))
     body = json.dumps({"error": str(refused)}).encode()
-    stamped = _stamped(send)
-    await stamped({"type": "http.response.start", "status": refused.status, "headers": headers})
-    await stamped({"type": "http.response.body", "body": body})
+    send = _with_security_headers(send)
+    await send({"type": "http.response.start", "status": refused.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

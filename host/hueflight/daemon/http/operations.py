@@ -1,0 +1,287 @@
+"""Operations of the API: one table, from which routes and OpenAPI description are generated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from hueflight.daemon.pixel import inspect
+from hueflight.daemon.service import Service
+from hueflight.reconstruction.stopping import StopRule
+
+Name = Annotated[
+    str,
+    msgspec.Meta(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$",
+        description="Name of the recording. By default it is the present time.",
+    ),
+]
+Kind = Annotated[
+    Literal["scene", "reference", "bands", "dark", "flat"],
+    msgspec.Meta(
+        description="Kind of capture, which decides which LEDs fire: all for scene and reference, "
+        "one at a time for bands, none for dark and flat."
+    ),
+]
+
+
+class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Body of a request, in which unknown keys are errors."""
+
+
+class RecordBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of a recording, which ends at the first limit that is reached."""
+
+    name: Name | None = None
+    kind: Kind = "scene"
+    frames: Annotated[
+        int,
+        msgspec.Meta(
+            ge=0,
+            le=1_000_000_000,
+            description="Number of frames after which the recording ends, for kind bands of each "
+            "LED. 0 means no limit.",
+        ),
+    ] = 0
+    seconds: (
+        Annotated[
+            float,
+            msgspec.Meta(gt=0, le=1e7, description="Seconds after which the recording ends."),
+        ]
+        | None
+    ) = None
+    note: Annotated[
+        str, msgspec.Meta(max_length=1000, description="Note that is kept in the recording.")
+    ] = ""
+    until_depth_std: (
+        Annotated[
+            float,
+            msgspec.Meta(
+                gt=0,
+                le=1000,
+                description="Standard deviation of depth, in metres, that ends the recording once "
+                "enough pixels have reached it. This needs a calibration.",
+            ),
+        ]
+        | None
+    ) = None
+    until_reflectance_std: (
+        Annotated[
+            float,
+            msgspec.Meta(
+                gt=0,
+                le=1000,
+                description="Standard deviation of the reflectance in every band that ends the "
+                "recording once enough pixels have reached it. This needs a calibration.",
+            ),
+        ]
+        | None
+    ) = None
+    share: Annotated[
+        float,
+        msgspec.Meta(
+            gt=0,
+            le=1,
+            description="Fraction of the pixels that must reach the standard deviations.",
+        ),
+    ] = 0.9
+
+
+class CalibrateBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of the captures of a calibration."""
+
+    distance: Annotated[
+        float,
+        msgspec.Meta(gt=0, le=1000, description="Distance of the reference target, in metres."),
+    ]
+    frames: Annotated[
+        int, msgspec.Meta(ge=1, le=10_000_000, description="Number of frames of each capture.")
+    ] = 4000
+    bands: Annotated[
+        bool,
+        msgspec.Meta(description="Also capture the reference target with one LED at a time."),
+    ] = True
+    dark: Annotated[bool, msgspec.Meta(description="Also take a capture with all LEDs off.")] = (
+        False
+    )
+
+
+class PixelQuery(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Coordinates of a pixel."""
+
+    row: Annotated[int, msgspec.Meta(ge=0, le=1023, description="Row of the pixel, from 0.")]
+    col: Annotated[int, msgspec.Meta(ge=0, le=1023, description="Column of the pixel, from 0.")]
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One operation of the API.
+
+    Attributes
+    ----------
+    method : str
+        HTTP method.
+    path : str
+        Path of the request.
+    name : str
+        Identifier of the operation, which is unique.
+    summary : str
+        One line for the OpenAPI description.
+    result : str
+        What a successful answer holds, for the OpenAPI description.
+    action : callable
+        Carries the operation out, given the service and the decoded body or query.
+    body : type or None
+        Type of the body; None for no body.
+    query : type or None
+        Type of the query; None for no query.
+    conflicts : bool
+        True if the operation can conflict with another one in progress (status 409).
+    missing : bool
+        True if the object of the operation may not exist (status 404).
+    """
+
+    method: Literal["GET", "POST"]
+    path: str
+    name: str
+    summary: str
+    result: str
+    action: Callable[[Service, Any], dict[str, Any]]
+    body: type[Body] | None = None
+    query: type[Body] | None = None
+    conflicts: bool = False
+    missing: bool = False
+
+
+def _status(service: Service, _: None) -> dict[str, Any]:
+    return service.status()
+
+
+def _instrument(service: Service, _: None) -> dict[str, Any]:
+    return service.describe()
+
+
+def _start(service: Service, _: None) -> dict[str, Any]:
+    service.start()
+    return {"state": service.acquisition.snapshot.state}
+
+
+def _stop(service: Service, _: None) -> dict[str, Any]:
+    service.stop()
+    return {"state": service.acquisition.snapshot.state}
+
+
+def _record(service: Service, body: RecordBody) -> dict[str, Any]:
+    limits = (body.until_depth_std, body.until_reflectance_std)
+    until = None
+    if limits != (None, None):
+        until = StopRule(depth_std=limits[0], reflectance_std=limits[1], share=body.share)
+    name = service.recording_job.begin(
+        name=body.name or "",
+        kind=body.kind,
+        frames=body.frames,
+        seconds=body.seconds,
+        note=body.note,
+        until=until,
+    )
+    return {"name": name}
+
+
+def _stop_recording(service: Service, _: None) -> dict[str, Any]:
+    return {"name": service.recording_job.end()}
+
+
+def _recordings(service: Service, _: None) -> dict[str, Any]:
+    return {"recordings": service.folder.listing()}
+
+
+def _calibrate(service: Service, body: CalibrateBody) -> dict[str, Any]:
+    job = service.calibration_job
+    job.begin(distance=body.distance, frames=body.frames, bands=body.bands, dark=body.dark)
+    return {"step": job.state.step}
+
+
+def _pixel(service: Service, query: PixelQuery) -> dict[str, Any]:
+    pictures = service.pictures
+    return inspect(
+        pictures.latest, service.instrument, pictures.calibration, row=query.row, col=query.col
+    )
+
+
+OPERATIONS: tuple[Operation, ...] = (
+    Operation(
+        "GET",
+        "/api/status",
+        "status",
+        "Get the current status",
+        "State of the camera, totals, frames lost, rates, recording and calibration.",
+        _status,
+    ),
+    Operation(
+        "GET",
+        "/api/instrument",
+        "instrument",
+        "Get the instrument",
+        "Bands, geometry and period of the instrument.",
+        _instrument,
+    ),
+    Operation("POST", "/api/start", "start", "Start the live run", "State before the run.", _start),
+    Operation(
+        "POST",
+        "/api/stop",
+        "stop",
+        "End the present run and stay idle",
+        "State before the run has ended.",
+        _stop,
+    ),
+    Operation(
+        "POST",
+        "/api/recordings",
+        "record",
+        "Begin a recording",
+        "Name of the recording.",
+        _record,
+        body=RecordBody,
+        conflicts=True,
+    ),
+    Operation(
+        "GET",
+        "/api/recordings",
+        "recordings",
+        "List the finished recordings",
+        "Name, size, number of segments and time of each recording, newest first.",
+        _recordings,
+    ),
+    Operation(
+        "POST",
+        "/api/recordings/stop",
+        "stop_recording",
+        "End the recording in progress",
+        "Name of the recording.",
+        _stop_recording,
+        conflicts=True,
+    ),
+    Operation(
+        "POST",
+        "/api/calibration",
+        "calibrate",
+        "Take the captures of a calibration, compute it and use it",
+        "First step of the calibration; the status shows its progress.",
+        _calibrate,
+        body=CalibrateBody,
+        conflicts=True,
+    ),
+    Operation(
+        "GET",
+        "/api/pixel",
+        "pixel",
+        "Get one pixel of the latest picture",
+        "Histogram, depth, reflectance in each band and quality of the pixel.",
+        _pixel,
+        query=PixelQuery,
+        missing=True,
+    ),
+)

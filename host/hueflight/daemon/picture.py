@@ -1,0 +1,81 @@
+"""One live picture: the histogram of the newest frames, the image made of it, and its times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from hueflight.ingest.accumulator import Counts
+from hueflight.model.instrument import Instrument
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Data that viewers see at one moment.
+
+    Attributes
+    ----------
+    number : int
+        Number of the picture, counted from 1 since the daemon started.
+    kind : str
+        Kind of capture, such as ``"scene"`` or ``"reference"``.
+    histogram : array, shape (row, col, code)
+        Counts of the frames. The memory is reused once nothing refers to this array any more; a
+        view of it does not keep it.
+    image : xarray.Dataset or None
+        Reconstruction of the histogram; None without a calibration.
+    photons : array, shape (row, col)
+        Photons of each pixel.
+    frames : int
+        Frames in the histogram.
+    device_s : float
+        Device clock at the start of the last exposure, in seconds.
+    received_s : float
+        Monotonic clock when the last photon had arrived, in seconds.
+    begun_s : float
+        Monotonic clock when reconstruction began, in seconds.
+    ready_s : float
+        Monotonic clock when reconstruction was done, in seconds.
+    """
+
+    number: int
+    kind: str
+    histogram: Counts
+    image: xr.Dataset | None
+    photons: NDArray[np.integer]
+    frames: int
+    device_s: float
+    received_s: float
+    begun_s: float
+    ready_s: float
+
+
+def count_photons(
+    histogram: Counts, image: xr.Dataset | None, instrument: Instrument, frames: int, /
+) -> NDArray[np.integer]:
+    """Return the photons of each pixel.
+
+    Parameters
+    ----------
+    histogram : array, shape (row, col, code)
+        Counts of the frames.
+    image : xarray.Dataset or None
+        Reconstruction of the histogram, which has the photons already.
+    instrument : Instrument
+        Instrument that the histogram is of.
+    frames : int
+        Frames in the histogram.
+
+    Returns
+    -------
+    array of int, shape (row, col)
+        Photons of each pixel.
+    """
+    if image is not None:
+        return image["photons"].values.astype(np.int64)
+    if instrument.sensor.reports_empty:
+        return frames - histogram[..., 0].astype(np.int64)
+    return histogram.sum(axis=-1, dtype=np.int64)

@@ -1,0 +1,115 @@
+"""The daemon's state as plain dictionaries, for the API, the live page and metrics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hueflight.acquisition.plan import Gap
+from hueflight.acquisition.snapshot import Snapshot
+from hueflight.daemon.calibration_job import CalibrationJob
+from hueflight.daemon.pictures import Pictures
+from hueflight.daemon.recording_job import RecordingJob
+from hueflight.devices.illumination import GUIDANCE
+from hueflight.model.instrument import Instrument
+
+
+def run_status(snapshot: Snapshot, /) -> dict[str, Any]:
+    """Return progress of the present run, totals since the start, losses, link and gaps."""
+    return {
+        "simulated": snapshot.simulated,
+        "camera": snapshot.rig,
+        "kind": snapshot.kind,
+        "run": {
+            "frames": snapshot.run_frames,
+            "limit": snapshot.run_limit,
+            "photons": snapshot.run_photons,
+        },
+        "totals": {
+            "exposed": snapshot.totals.exposed,
+            "delivered": snapshot.totals.delivered,
+            "photons": snapshot.photons,
+            "bytes": snapshot.received_bytes,
+        },
+        "lost": snapshot.totals.losses.as_dict(),
+        "link": {
+            "queue_bytes": snapshot.stream.queued_bytes,
+            "stalls": snapshot.stream.stalls,
+            "stalled_s": snapshot.stream.stalled_s,
+            "errors": snapshot.stream.link_errors,
+            "connections": snapshot.connections,
+        },
+        "gaps": [_gap(gap) for gap in snapshot.gaps[-10:]],
+    }
+
+
+def _gap(gap: Gap) -> dict[str, Any]:
+    return {
+        "started": gap.started,
+        "seconds": gap.seconds,
+        "reason": gap.reason,
+        "frames_lost": gap.frames_lost,
+    }
+
+
+def picture_status(pictures: Pictures, /, *, now_s: float, stale_after_s: float) -> dict[str, Any]:
+    """Return number and age of the latest picture, and how pictures are made."""
+    picture = pictures.latest
+    age_s = None if picture is None else now_s - picture.received_s
+    return {
+        "number": picture.number if picture else 0,
+        "age_s": age_s,
+        "stale": age_s is None or age_s > stale_after_s,
+        "stale_after_s": stale_after_s,
+        "skipped": pictures.skipped,
+        "method": pictures.method,
+    }
+
+
+def calibration_status(job: CalibrationJob, /, *, calibrated: bool) -> dict[str, Any]:
+    """Return progress of a calibration, and whether pictures are calibrated."""
+    return {
+        "step": job.state.step,
+        "message": job.state.message,
+        "path": job.state.path,
+        "calibrated": calibrated,
+    }
+
+
+def recording_status(job: RecordingJob, snapshot: Snapshot, /) -> dict[str, Any]:
+    """Return progress of the recording, and the summary of the last one."""
+    return {
+        "name": job.name,
+        "frames": snapshot.recorded_frames,
+        "bytes": snapshot.recorded_bytes,
+        "queue_bytes": snapshot.recorder_queue_bytes,
+        "failure": snapshot.recording_failure,
+        "last": job.last,
+    }
+
+
+def describe_instrument(instrument: Instrument, /) -> dict[str, Any]:
+    """Return the facts about the instrument that clients need to display its pictures."""
+    right, down = instrument.ray_slopes()
+    sensor = instrument.sensor
+    return {
+        "name": instrument.name,
+        "description": instrument.description,
+        "rows": instrument.image_shape[0],
+        "cols": instrument.image_shape[1],
+        "codes": sensor.codes,
+        "frame_rate_hz": sensor.frame_rate_hz,
+        "period_ns": instrument.timing.period_ns,
+        "pixel_aspect": (sensor.pixel_height_um or 1) / (sensor.pixel_width_um or 1),
+        "slope_right": float(right[0, -1]),
+        "slope_down": float(down[-1, 0]),
+        "fingerprint": instrument.fingerprint(),
+        "bands": [
+            {
+                "name": band.name,
+                "wavelength_nm": band.wavelength_nm,
+                "fwhm_nm": band.emission_fwhm_nm,
+            }
+            for band in instrument.bands
+        ],
+        "guidance": GUIDANCE,
+    }

@@ -1,29 +1,44 @@
-"""Expected failures of the host software, each a kind of `HueflightError`."""
+"""Expected failures of the host software, each a kind of `HueflightError`.
+
+Where Python has a class of its own for a failure, ours derives from that as well, so that
+`except FileNotFoundError` or `except ValueError` works as usual.
+"""
 
 from hueflight_protocol.errors import HueflightError
 
 __all__ = [
     "BatchError",
     "CalibrationError",
+    "CalibrationNotFoundError",
     "ExportError",
     "FileFormatError",
     "HistogramError",
     "HueflightError",
     "ImageError",
     "IngestError",
+    "InputNotFoundError",
     "InstrumentError",
+    "InstrumentNotFoundError",
     "KernelError",
+    "MissingPackageError",
+    "OutputError",
+    "OutputExistsError",
     "OverflowPolicyError",
     "RecordingError",
+    "RecordingNotFoundError",
     "SceneError",
 ]
 
 
-class InstrumentError(HueflightError):
+class InstrumentError(HueflightError, ValueError):
     """An instrument description that can't be read or contradicts itself."""
 
 
-class HistogramError(HueflightError):
+class InstrumentNotFoundError(InstrumentError, FileNotFoundError):
+    """Neither a preset nor a file of that name exists."""
+
+
+class HistogramError(HueflightError, ValueError):
     """Counts whose shape, type or content does not fit the instrument."""
 
 
@@ -32,36 +47,60 @@ class KernelError(HueflightError):
 
 
 class IngestError(HueflightError):
-    """Packets that can't be counted into the histogram asked for."""
+    """Packets that can't be counted into the requested histogram."""
 
 
-class OverflowPolicyError(HistogramError):
+class OverflowPolicyError(HistogramError, OverflowError):
     """A counter was about to exceed its type under the policy `error`."""
 
 
-class CalibrationError(HueflightError):
+class CalibrationError(HueflightError, ValueError):
     """Captures that can't make a calibration, or a calibration used where it does not fit."""
 
 
+class CalibrationNotFoundError(CalibrationError, FileNotFoundError):
+    """No calibration of that name exists."""
+
+
 class RecordingError(HueflightError):
-    """A recording that can't be read, written or is not one."""
+    """A recording that can't be read or written, or a file that is not a recording."""
 
 
-class SceneError(HueflightError):
+class RecordingNotFoundError(RecordingError, FileNotFoundError):
+    """No recording of that name exists."""
+
+
+class SceneError(HueflightError, ValueError):
     """A scene that does not exist or does not fit the instrument."""
 
 
-class ImageError(HueflightError):
-    """A dataset that is no image, or lacks what is asked of it."""
+class ImageError(HueflightError, ValueError):
+    """A dataset that is not an image, or lacks what is asked of it."""
 
 
-class ExportError(HueflightError):
-    """A result that can't be written: the format does not hold it, or the disk did not take it."""
+class ExportError(HueflightError, ValueError):
+    """A result that the chosen format does not hold, or a format that does not exist."""
 
 
-class FileFormatError(HueflightError):
+class OutputError(HueflightError, OSError):
+    """A file or folder that can't be written."""
+
+
+class OutputExistsError(OutputError, FileExistsError):
+    """A file or folder that exists and was not to be overwritten."""
+
+
+class FileFormatError(HueflightError, ValueError):
     """A file of results or counts that can't be read, is incomplete, or is not what it says."""
 
 
+class InputNotFoundError(FileFormatError, FileNotFoundError):
+    """No file of that name exists."""
+
+
+class MissingPackageError(HueflightError, ImportError):
+    """An optional package that is not installed."""
+
+
 class BatchError(HueflightError):
-    """Many captures that can't be worked through together."""
+    """A batch of captures that can't be processed together."""

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hueflight.acquisition.plan import RunResult
+from hueflight.errors import OutputError
+from hueflight.files import replace_file
 
 
 def summarise(result: RunResult, /) -> dict[str, Any]:
@@ -33,10 +35,8 @@ def write_summary(recording: Path, result: RunResult, /) -> dict[str, Any]:
     A disk that is full keeps nothing from being said: the summary is returned all the same.
     """
     summary = {"name": recording.stem} | summarise(result)
-    part = recording.with_suffix(".json.part")
     try:
-        part.write_text(json.dumps(summary, indent=1) + "\n", "utf-8")
-        part.replace(recording.with_suffix(".json"))
-    except OSError as error:
-        summary["failure"] = summary["failure"] or f"the summary can't be written: {error}"
+        replace_file(recording.with_suffix(".json"), json.dumps(summary, indent=1) + "\n")
+    except OutputError as error:
+        summary["failure"] = summary["failure"] or f"the summary is missing: {error}"
     return summary

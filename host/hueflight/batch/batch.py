@@ -18,7 +18,7 @@ from hueflight.batch.local import LocalWorkers
 from hueflight.calibration import Calibration
 from hueflight.errors import BatchError
 from hueflight.export.description import calibration_origin
-from hueflight.files.atomic import staged
+from hueflight.files import staged
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.recording.layout import split_segment_path
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hueflight.batch.job import Job, Outcome, work
 from hueflight.errors import BatchError
-from hueflight.files.atomic import optional
+from hueflight.files import import_optional
 
 CONNECT_SECONDS = 15
 
@@ -50,7 +50,7 @@ class DaskCluster:
         BatchError
             If there is no scheduler, or it goes away.
         """
-        distributed = optional("distributed", extra="batch")
+        distributed = import_optional("distributed", extra="batch")
         try:
             client = distributed.Client(self.address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError) as error:

@@ -18,8 +18,7 @@ from hueflight.batch.one_file import reconstruct_file
 from hueflight.calibration import Calibration
 from hueflight.errors import FileFormatError, HueflightError
 from hueflight.export.description import calibration_origin
-from hueflight.files.atomic import PARTIAL_SUFFIX
-from hueflight.files.checksums import check_seal
+from hueflight.files import PARTIAL_SUFFIX, verify_checksums
 from hueflight.recording.layout import segment_files
 
 KEY = "task"  #: attribute of a store: digest of what it was made from, and how
@@ -208,7 +207,7 @@ def is_done(store: Path, key: str) -> bool:
     if key_of(store) != key:
         return False
     try:
-        check_seal(store)
+        verify_checksums(store)
     except (OSError, FileFormatError):
         return False
     return True

@@ -13,7 +13,7 @@ import xarray as xr
 from hueflight.calibration import Calibration
 from hueflight.export.description import describe
 from hueflight.export.stores import write_zarr
-from hueflight.files.atomic import optional, refuse_existing, staged
+from hueflight.files import import_optional, refuse_existing, staged
 from hueflight.importers.captures import read_capture
 from hueflight.progress import Progress, Silent, task
 from hueflight.reconstruction.quality import Quality
@@ -98,9 +98,11 @@ def reconstruct_file(
 
     Raises
     ------
-    ExportError
+    OutputExistsError
         If `out` or the picture exists and may not be replaced, which is checked before anything
-        is read; or if the disk does not take them.
+        is read.
+    OutputError
+        If the disk does not take them.
     HueflightError
         If capture or calibration can't be read, or they do not fit one another.
     """
@@ -109,7 +111,7 @@ def reconstruct_file(
     refuse_existing(out, overwrite=overwrite)
     if picture is not None:
         refuse_existing(picture, overwrite=overwrite)
-        optional("matplotlib", extra="report")
+        import_optional("matplotlib", extra="report")
     shown = progress or Silent()
     with task(shown, "reading", 2):
         if not isinstance(calibration, Calibration):

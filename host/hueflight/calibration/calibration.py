@@ -1,8 +1,11 @@
-"""What one instrument, in front of a known target, has shown of itself."""
+"""The result of calibrating one instrument in front of a known target."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,36 +14,62 @@ from numpy.typing import NDArray
 
 from hueflight.calibration.delays import centroid_half_width_bins
 from hueflight.calibration.pulse_windows import PulseWindow
-from hueflight.errors import CalibrationError
+from hueflight.calibration.store import (
+    StoredCalibration,
+    describe,
+    read_store,
+    write_store,
+)
+from hueflight.errors import CalibrationError, InstrumentError
 from hueflight.model.emission import Emission
 from hueflight.model.instrument import Instrument
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.waveforms import Templates
 
+PIXEL_PLANES = ("pixel_delay_ns", "pixel_delay_std_ns", "flat_field", "dead", "hot")
+BAND_VECTORS = ("gain", "brightness")
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """All that reconstruction knows of an instrument. Made by `calibrate`, kept by `save`.
+    """What reconstruction needs to know about an instrument.
+
+    Made by `calibrate`, written by `save`. Counts mean photons that arrived, including those
+    that were lost because an exposure records only one.
 
     Attributes
     ----------
-    instrument : the description it belongs to.
-    distance : of the reference target from the camera along the optical axis, m.
-    bins : codes in time order, with measured widths where a flat capture was given.
-    reference : (row, col, bin) counts of the reference in time order.
-    frames : (row, col) exposures behind it, or None where they can't be known.
-    windows : which bins belong to which pulse, for a pixel without delay of its own.
-    pixel_delay_ns : (row, col) each pixel's delay against the pooled reference.
-    pixel_delay_std_ns : (row, col) how well that is known.
-    gain : (band,) α of eq. 3: reflectance per count and frame of an average pixel. Here and
-        below counts are of photons that arrived, those that an exposure lost included.
-    templates : waveform of each band, pooled over pixels.
-    brightness : (band,) photons per frame from a white target at the reference's distance in
-        an average pixel (per capture where frames can't be known).
-    flat_field : (row, col) each pixel's brightness relative to the average pixel.
-    dead, hot : (row, col) pixels that never, or always, fire.
-    emission : measured spectra of the LEDs, or None for those that the instrument states.
-    provenance : where it came from, for people and files.
+    instrument : Instrument
+        The instrument that was calibrated.
+    distance : float
+        Distance of the reference target from the camera along the optical axis, m.
+    bins : TimeBins
+        Codes in time order, with measured widths where a flat capture was given.
+    reference : ndarray of float32, shape (row, col, bin)
+        Counts of the reference in time order.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures behind the reference, None where their number can't be known.
+    windows : tuple of PulseWindow
+        Which bins belong to which pulse, for a pixel without a delay of its own.
+    pixel_delay_ns : ndarray of float, shape (row, col)
+        Delay of each pixel relative to the pooled reference, ns.
+    pixel_delay_std_ns : ndarray of float, shape (row, col)
+        Standard deviation of that delay, ns.
+    gain : ndarray of float, shape (band,)
+        Coefficient α of the paper's eq. 3: reflectance per count and frame of an average pixel.
+    templates : Templates
+        Waveform of each band, pooled over pixels.
+    brightness : ndarray of float, shape (band,)
+        Photons per frame from a white target at the reference's distance in an average pixel
+        (photons per capture where frames can't be known).
+    flat_field : ndarray of float, shape (row, col)
+        Brightness of each pixel relative to the average pixel.
+    dead, hot : ndarray of bool, shape (row, col)
+        Pixels that never fire, and pixels that fire whatever the light.
+    emission : Emission or None
+        Measured spectra of the LEDs; None where those of the instrument apply.
+    provenance : dict
+        When, from what and with which software the calibration was made.
     """
 
     instrument: Instrument
@@ -62,31 +91,36 @@ class Calibration:
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """(row, col) pixels that are neither dead nor hot."""
+        """Pixels that are neither dead nor hot, shape (row, col)."""
         return ~(self.dead | self.hot)
 
     @property
     def bin_width_ns(self) -> float:
-        """Mean width of a full bin."""
+        """Nominal width of a bin, ns."""
         return self.instrument.sensor.bin_width_ns
 
     @property
     def pixel_delay(self) -> NDArray[np.float64]:
-        """(row, col) `pixel_delay_ns` in mean bins, for methods that count bins."""
+        """Delay of each pixel in bins of mean width, shape (row, col)."""
         return self.pixel_delay_ns / (self.bins.span_ns / self.bins.count)
 
     @property
     def half_width_bins(self) -> float:
-        """Half the window of the correlation's centroid."""
+        """Half the width of the window of the correlation's centroid, bins."""
         return centroid_half_width_bins(self.instrument)
 
     def require(self, instrument: Instrument) -> None:
-        """Refuse to be used with another instrument, saying what differs.
+        """Check that counts of an instrument can be reconstructed with this calibration.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument that made the counts.
 
         Raises
         ------
         CalibrationError
-            If anything that counts depend on is not the same.
+            If anything that counts depend on differs from the calibrated instrument.
         """
         if differences := self.instrument.differences(instrument):
             raise CalibrationError(
@@ -97,26 +131,124 @@ class Calibration:
             )
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
-        """Write to a Zarr directory store; it appears under its name only when whole.
+        """Write a Zarr directory, which appears under its name only when it is complete.
+
+        Parameters
+        ----------
+        path : str or Path
+            Name of the directory; folders above it are made as needed.
+        overwrite : bool
+            Replace what exists under that name.
 
         Raises
         ------
-        CalibrationError
-            If the name is taken and `overwrite` is not set, or the disk refuses.
+        OutputExistsError
+            If the name is taken and `overwrite` is not set.
+        OutputError
+            If the disk refuses.
         """
-        from hueflight.calibration.store import save  # it needs this class
-
-        save(self, Path(path), overwrite=overwrite)
+        write_store(Path(path), _to_stored(self), overwrite=overwrite)
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
         """Read what `save` wrote.
 
+        Parameters
+        ----------
+        path : str or Path
+            Name of the directory.
+
+        Returns
+        -------
+        Calibration
+            The calibration, whose checksums were verified.
+
         Raises
         ------
+        CalibrationNotFoundError
+            If there is no such directory.
         CalibrationError
-            If there is nothing, it is no calibration, of another format, or damaged.
+            If it is not a calibration, has a newer format, or is damaged.
         """
-        from hueflight.calibration.store import load  # it needs this class
+        stored = read_store(Path(path))
+        try:
+            return _from_stored(stored)
+        except (CalibrationError, InstrumentError) as error:
+            raise CalibrationError(f"calibration {path} can't be used: {error}") from None
+        except Exception as error:  # missing arrays, ill-typed attributes
+            raise CalibrationError(
+                f"calibration {path} is damaged: {describe(error)}. Restore it or calibrate again"
+            ) from None
 
-        return load(Path(path))
+
+def _to_stored(calibration: Calibration) -> StoredCalibration:
+    arrays: dict[str, NDArray[Any]] = {
+        name: getattr(calibration, name) for name in PIXEL_PLANES + BAND_VECTORS
+    }
+    arrays["reference"] = calibration.reference
+    arrays["bin_edges_ns"] = calibration.bins.edges_ns
+    arrays["bin_codes"] = calibration.bins.codes.astype(np.int64)
+    arrays["templates"] = calibration.templates.coefficients
+    arrays["windows"] = np.array(
+        [(window.band, window.start, window.stop) for window in calibration.windows], np.int64
+    )
+    if calibration.frames is not None:
+        arrays["frames"] = np.asarray(calibration.frames)
+    if calibration.emission is not None:
+        arrays["emission_nm"] = calibration.emission.wavelengths_nm
+        arrays["emission_power"] = calibration.emission.power
+    instrument = calibration.instrument
+    return StoredCalibration(
+        arrays,
+        {
+            "saved": datetime.now(UTC).isoformat(timespec="seconds"),
+            "saved_by": f"hueflight {version('hueflight')}",
+            "instrument": instrument.to_json(),
+            "instrument_name": instrument.name,
+            "instrument_fingerprint": instrument.fingerprint(),
+            "distance_m": calibration.distance,
+            "circle_ns": calibration.templates.circle_ns,
+            "provenance": calibration.provenance,
+        },
+    )
+
+
+def _from_stored(stored: StoredCalibration) -> Calibration:
+    attributes: Mapping[str, Any] = stored.attributes
+    arrays: Mapping[str, NDArray[Any]] = stored.arrays
+    instrument = Instrument.from_json(attributes["instrument"], where="its instrument")
+    if instrument.fingerprint() != attributes["instrument_fingerprint"]:
+        raise CalibrationError(
+            "its instrument does not match its fingerprint: the file was edited, or written by "
+            "software that describes instruments otherwise"
+        )
+    bins = TimeBins(
+        arrays["bin_codes"].astype(np.intp), arrays["bin_edges_ns"], instrument.timing.period_ns
+    )
+    rows, cols, _ = instrument.histogram_shape
+    expected = {
+        "reference": (rows, cols, bins.count),
+        "bin_edges_ns": (bins.count + 1,),
+        **dict.fromkeys(BAND_VECTORS, (len(instrument.bands),)),
+        **dict.fromkeys(PIXEL_PLANES, (rows, cols)),
+    }
+    values = {name: arrays[name] for name in expected}
+    for name, shape in expected.items():
+        if values[name].shape != shape:
+            raise CalibrationError(f"{name} has shape {values[name].shape}, expected {shape}")
+    del values["bin_edges_ns"]
+    emission = None
+    if "emission_nm" in arrays:
+        emission = Emission(arrays["emission_nm"], arrays["emission_power"])
+        emission.require(instrument)
+    return Calibration(
+        instrument=instrument,
+        distance=float(attributes["distance_m"]),
+        bins=bins,
+        frames=arrays.get("frames"),
+        windows=tuple(PulseWindow(*map(int, window)) for window in arrays["windows"]),
+        templates=Templates(arrays["templates"], float(attributes["circle_ns"])),
+        emission=emission,
+        provenance=dict(attributes["provenance"]),
+        **values,
+    )

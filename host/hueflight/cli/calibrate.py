@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from hueflight.calibration import calibrate as calibrate_captures
 from hueflight.cli.output import progress, show
-from hueflight.files.atomic import refuse_existing
+from hueflight.files import refuse_existing
 from hueflight.importers.captures import read_capture
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task

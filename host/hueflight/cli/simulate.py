@@ -11,7 +11,7 @@ from hueflight import simulator
 from hueflight.cli.choices import PRESETS, SCENE_NAMES
 from hueflight.cli.output import progress, show
 from hueflight.errors import SceneError
-from hueflight.files.atomic import refuse_existing
+from hueflight.files import refuse_existing
 from hueflight.importers.captures import write_counts
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task, tracked

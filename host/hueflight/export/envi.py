@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
 from hueflight.export.description import band_names, band_widths_nm, plain_attributes
-from hueflight.files.atomic import staged
+from hueflight.files import staged
 from hueflight.files.image_schema import layers, require_image
 
 TYPE_CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint16": 12}

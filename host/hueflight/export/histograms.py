@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hueflight.export.hdf5 import patient_file
-from hueflight.files.atomic import optional, staged
+from hueflight.files import import_optional, staged
 from hueflight.model.histograms import check_histogram, frames_per_pixel
 from hueflight.model.instrument import Instrument
 
@@ -43,7 +43,7 @@ def write_histogram(
     """
     counts = check_histogram(histogram, instrument)
     exposures = frames_per_pixel(counts, instrument, frames)
-    h5py = optional("h5py")
+    h5py = import_optional("h5py", extra="export")
     bins = instrument.time_bins()
     start_ns = np.full(instrument.sensor.codes, np.nan)
     width_ns = np.full(instrument.sensor.codes, np.nan)

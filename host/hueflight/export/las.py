@@ -11,7 +11,7 @@ import xarray as xr
 from hueflight.errors import ExportError
 from hueflight.export.description import plain_attributes
 from hueflight.export.points import image_points
-from hueflight.files.atomic import optional, staged
+from hueflight.files import import_optional, staged
 from hueflight.model.instrument import Instrument
 
 POINT_FORMAT = 7  #: of LAS 1.4, with colour
@@ -32,7 +32,7 @@ def write_las(
     `intensity` is the mean reflectance over all bands, full scale at 1. The image's origin
     stands as JSON in a variable length record of the user "hueflight".
     """
-    laspy = optional("laspy")
+    laspy = import_optional("laspy", extra="export")
     points = image_points(image, instrument=instrument)
     if too_long := [name for name in points.fields if len(name) > NAME_BYTES]:
         raise ExportError(f"LAS names have at most {NAME_BYTES} characters: rename {too_long[0]!r}")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hueflight.export.description import band_names, plain_attributes
 from hueflight.export.tiff import CLASSIC_LIMIT, storable
-from hueflight.files.atomic import optional, staged
+from hueflight.files import import_optional, staged
 from hueflight.files.image_schema import SERIES_DIM, captures, require_image
 
 NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
@@ -28,7 +28,7 @@ PIXEL_TYPES = {"float32": "float", "int32": "int32", "uint32": "uint32", "int16"
 def write_ome_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
     """Image or series as an OME-TIFF; the captures of a series are its time points."""
     require_image(image)
-    tifffile = optional("tifffile")
+    tifffile = import_optional("tifffile", extra="export")
     stacks = _stacks(image)
     big = sum(stack.nbytes for _, stack, _ in stacks) > CLASSIC_LIMIT
     xml = _description(image, stacks)

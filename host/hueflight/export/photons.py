@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
 from hueflight.export.hdf5 import patient_file
-from hueflight.files.atomic import optional, staged
+from hueflight.files import import_optional, staged
 from hueflight.model.instrument import Instrument
 
 CHUNK_PHOTONS = 1 << 16
@@ -67,7 +67,7 @@ def write_photons(
             f"frame_rate_hz = {rate!r}: photon lists need the frame rate; give it here or as "
             "sensor.frame_rate_hz of the instrument"
         )
-    h5py = optional("h5py")
+    h5py = import_optional("h5py", extra="export")
     with (
         staged(path, overwrite=overwrite) as partial,
         patient_file(partial) as disk,

@@ -14,7 +14,7 @@ import xarray as xr
 from hueflight.errors import ExportError
 from hueflight.export.description import plain_attributes
 from hueflight.export.points import Points, image_points
-from hueflight.files.atomic import staged
+from hueflight.files import staged
 from hueflight.model.instrument import Instrument
 
 PROPERTY_TYPES = {

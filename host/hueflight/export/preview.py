@@ -14,7 +14,7 @@ from hueflight.color.colormap import NO_DATA, colours
 from hueflight.color.display import three_band_rgb
 from hueflight.errors import ExportError
 from hueflight.export.description import band_labels, plain_attributes
-from hueflight.files.atomic import optional, staged
+from hueflight.files import import_optional, staged
 from hueflight.files.image_schema import SERIES_DIM, require_image
 
 MARGIN = 12
@@ -51,7 +51,7 @@ def write_png(
     limits : values of the bar's ends; by default percentiles 1 and 99.
     """
     picture, entries = _picture(image, variable, band, limits)
-    png = optional("PIL.PngImagePlugin")
+    png = import_optional("PIL.PngImagePlugin", extra="export")
     info = png.PngInfo()
     for key, value in {**plain_attributes(image), **entries}.items():
         info.add_itxt(key, value)
@@ -124,15 +124,18 @@ def _percentiles(plane: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _enlarged(pixels: NDArray[np.uint8]) -> Any:
-    pil = optional("PIL.Image")
+    pil = import_optional("PIL.Image", extra="export")
     factor = max(1, WANTED_SIDE // max(pixels.shape[:2]))
     return pil.fromarray(pixels.repeat(factor, axis=0).repeat(factor, axis=1))
 
 
 def _with_bar(pixels: NDArray[np.uint8], title: str, low: float, high: float) -> Any:
     """Title above, colour bar on the right."""
-    pil, draw_module = optional("PIL.Image"), optional("PIL.ImageDraw")
-    font = optional("PIL.ImageFont").load_default(TEXT_HEIGHT)
+    pil, draw_module = (
+        import_optional("PIL.Image", extra="export"),
+        import_optional("PIL.ImageDraw", extra="export"),
+    )
+    font = import_optional("PIL.ImageFont", extra="export").load_default(TEXT_HEIGHT)
     shown = _enlarged(pixels)
     top = MARGIN + TEXT_HEIGHT + 8
     height = max(shown.height, 128)

@@ -9,8 +9,7 @@ import xarray as xr
 
 from hueflight.export.description import with_conventions
 from hueflight.export.hdf5 import patient_file
-from hueflight.files.atomic import optional, staged
-from hueflight.files.checksums import seal
+from hueflight.files import ZARR_FORMAT, import_optional, staged, write_checksums
 from hueflight.files.image_schema import SERIES_DIM, require_image
 
 
@@ -34,14 +33,16 @@ def write_zarr(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
         for name, variable in described.data_vars.items()
     }
     with staged(path, overwrite=overwrite) as partial:
-        described.to_zarr(partial, mode="w", zarr_format=2, consolidated=True, encoding=encoding)
-        seal(partial)
+        described.to_zarr(
+            partial, mode="w", zarr_format=ZARR_FORMAT, consolidated=True, encoding=encoding
+        )
+        write_checksums(partial)
 
 
 def write_netcdf(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
     """Image or series as a NetCDF-4 file, compressed without loss."""
     require_image(image)
-    optional("h5netcdf")
+    import_optional("h5netcdf", extra="export")
     # without traces of the file it was read from, which may not fit the new one
     described = with_conventions(image).drop_encoding()
     encoding: dict[Any, dict[str, Any]] = {

@@ -12,7 +12,7 @@ import xarray as xr
 
 from hueflight.analysis.regions import Region, region_spectra
 from hueflight.export.description import band_names, band_widths_nm, plain_attributes
-from hueflight.files.atomic import staged
+from hueflight.files import staged
 from hueflight.files.image_schema import SERIES_DIM, require_image
 
 WHOLE = "whole image"

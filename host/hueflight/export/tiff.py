@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
 from hueflight.export.description import band_names, band_widths_nm, plain_attributes
-from hueflight.files.atomic import optional, staged
+from hueflight.files import import_optional, staged
 from hueflight.files.image_schema import captures, layers, require_image
 
 PAGE_NAME_TAG = 285
@@ -28,7 +28,7 @@ def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
     band, wavelength, width and units, and on the first page the origin of the whole.
     """
     require_image(image)
-    tifffile = optional("tifffile")
+    tifffile = import_optional("tifffile", extra="export")
     pages = list(_pages(image))
     big = sum(plane.nbytes for plane, _, _ in pages) > CLASSIC_LIMIT
     with (

@@ -1,7 +1,7 @@
-"""Files that appear under their name only when they are whole.
+"""Files and folders that appear under their name only when they are complete.
 
 Everything is written into a hidden folder beside its target and renamed from there: a full
-disk, an error or a killed process leaves what was there before and nothing half-done.
+disk, an error or a killed process leaves what was there before, never an incomplete file.
 """
 
 from __future__ import annotations
@@ -13,34 +13,46 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-from hueflight.errors import ExportError
-from hueflight.files.checksums import SEAL
+from hueflight.errors import OutputError, OutputExistsError
+from hueflight.files.checksums import CHECKSUM_LIST
 
-LITTLE_BYTES = 1 << 20  #: a disk with less room than this counts as full
-DISCARD_TRIES = 50  #: a second in all
+FULL_DISK_BYTES = 1 << 20  #: a disk with less free space than this counts as full
+DISCARD_TRIES = 50  #: one every 20 ms: a second in all
 PARTIAL_SUFFIX = ".partial"  #: ends the names of folders that hold unfinished work
 
 
 @contextmanager
 def staged(target: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """A path to write a file or a folder to, that becomes `target` when the block ends well.
+    """Give a path to write to, which becomes `target` when the block ends without an error.
 
-    Files that the block writes beside it (the data beside a header) come along; the one named
-    `target` comes last, so that whoever sees it finds all of it.
+    Files that the block writes beside the path (the data beside a header) are moved as well. The
+    one named `target` is moved last, so that a reader that sees it finds all of them.
+
+    Parameters
+    ----------
+    target : str or Path
+        Final name of the file or folder.
+    overwrite : bool
+        Replace what exists under that name.
+
+    Yields
+    ------
+    Path
+        Where the block writes the file or makes the folder.
 
     Raises
     ------
-    ExportError
-        If the target exists and may not be replaced, its folder is missing, or the disk did
-        not take it; nothing is left under the target's name then but what was there before.
+    OutputExistsError
+        If the target exists and may not be replaced.
+    OutputError
+        If the folder of the target is missing or the disk refuses; what was there before under
+        the target's name is left as it was.
     """
     target = Path(target)
     if not target.parent.is_dir():
-        raise ExportError(f"can't write {str(target)!r}: there is no folder {str(target.parent)!r}")
+        raise OutputError(f"can't write {str(target)!r}: there is no folder {str(target.parent)!r}")
     refuse_existing(target, overwrite=overwrite)
     try:
         folder = Path(
@@ -59,27 +71,53 @@ def staged(target: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
         for path in written:
             _move(path, target.parent / path.name, aside=folder)
         _sync(target.parent, entries=False)
+    except OutputError:
+        raise  # it is an OSError too, but explained already
     except OSError as error:
         raise _explained(target, error) from error
     finally:
         _discard(folder)
 
 
-def optional(module: str, *, extra: str = "export") -> Any:
-    """A module that only some formats need.
+def make_parent(target: str | Path) -> None:
+    """Make the folder that a file is to be written to, with the folders above it.
+
+    Parameters
+    ----------
+    target : str or Path
+        Name of the file.
 
     Raises
     ------
-    ExportError
-        If it is not installed, naming the extra that brings it.
+    OutputError
+        If the disk refuses, or a file is where a folder should be.
     """
+    parent = Path(target).parent
     try:
-        return import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise ExportError(
-            f"this needs the package {package!r}: pip install 'hueflight[{extra}]' ({error})"
-        ) from None
+        parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"can't make the folder {str(parent)!r}: {error.strerror or error}"
+        ) from error
+
+
+def replace_file(target: str | Path, content: str | bytes) -> None:
+    """Write a file, replacing the one of that name only when the new one is complete.
+
+    Parameters
+    ----------
+    target : str or Path
+        Name of the file.
+    content : str or bytes
+        What the file is to hold; text is encoded as UTF-8, with line ends as they are.
+
+    Raises
+    ------
+    OutputError
+        If the folder of the file is missing or the disk refuses.
+    """
+    with staged(target, overwrite=True) as partial:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def _discard(folder: Path) -> None:
@@ -103,34 +141,34 @@ def refuse_existing(target: Path, *, overwrite: bool = False) -> None:
 
     Raises
     ------
-    ExportError
+    OutputExistsError
         If there is one and it may not be replaced.
     """
     if not overwrite and target.exists():
-        raise ExportError(
+        raise OutputExistsError(
             f"{str(target)!r} exists already: choose another name or allow overwriting "
             "(--overwrite, overwrite=True)"
         )
 
 
-def _explained(target: Path, error: OSError) -> ExportError:
+def _explained(target: Path, error: OSError) -> OutputError:
     reason = error.strerror or str(error)
     advice = ""
     # some libraries report a short write without the system's reason
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-    if full or (error.errno is None and shutil.disk_usage(target.parent).free < LITTLE_BYTES):
-        advice = " (the disk is full: make room or write elsewhere)"
-    return ExportError(
+    if full or (error.errno is None and shutil.disk_usage(target.parent).free < FULL_DISK_BYTES):
+        advice = " (the disk is full: free some space or write elsewhere)"
+    return OutputError(
         f"can't write {str(target)!r}: {reason}{advice}. Nothing new was left under that name"
     )
 
 
 def _sync(path: Path, *, entries: bool = True) -> None:
-    """Wait until the disk has it, so that a rename never overtakes its content.
+    """Wait until the disk holds it, so that the new name never precedes its content.
 
-    Sealed folders don't wait: should the power fail, their checksums tell.
+    Folders with checksums don't wait: should the power fail, these show the damage.
     """
-    if (path / SEAL).exists():
+    if (path / CHECKSUM_LIST).exists():
         return
     if path.is_dir() and entries:
         for entry in path.iterdir():

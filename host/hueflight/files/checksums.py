@@ -1,7 +1,7 @@
 """A list of a folder's files with their checksums, so that a damaged copy is noticed.
 
-A Zarr store that lacks a file reads as if nothing had been measured there, and a chunk that was
-cut short may decompress to anything.
+Zarr reads a missing chunk as zeros without a complaint, and a chunk that was cut short may
+decompress to anything.
 """
 
 from __future__ import annotations
@@ -13,29 +13,45 @@ import google_crc32c
 
 from hueflight.errors import FileFormatError
 
-SEAL = ".checksums"  #: name of the list, which Zarr libraries pass over
+CHECKSUM_LIST = ".checksums"  #: name of the list in its folder, which Zarr libraries pass over
 
 
-def seal(folder: Path) -> None:
-    """Write the list: relative path → CRC-32C of the content."""
+def write_checksums(folder: Path) -> None:
+    """Write the list of a folder's files.
+
+    Parameters
+    ----------
+    folder : Path
+        Every file below it is listed by relative path, with the CRC-32C of its content.
+    """
     sums = {
         path.relative_to(folder).as_posix(): google_crc32c.value(path.read_bytes())
         for path in _files(folder)
     }
-    (folder / SEAL).write_text(json.dumps(sums, indent=0), encoding="utf-8")
+    (folder / CHECKSUM_LIST).write_text(json.dumps(sums, indent=0), encoding="utf-8")
 
 
-def check_seal(folder: Path) -> None:
-    """Hold a folder against its list, if it has one.
+def verify_checksums(folder: Path) -> bool:
+    """Compare a folder with its list, if it has one.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder, for example a Zarr store.
+
+    Returns
+    -------
+    bool
+        False if the folder has no list, because other software wrote it.
 
     Raises
     ------
     FileFormatError
         If a file is missing, has changed, or was added.
     """
-    path = folder / SEAL
+    path = folder / CHECKSUM_LIST
     if not path.exists():
-        return  # written by other software
+        return False
     try:
         sums = json.loads(path.read_text(encoding="utf-8"))
         entries = [(str(name), int(value)) for name, value in sums.items()]
@@ -45,7 +61,7 @@ def check_seal(folder: Path) -> None:
     if added:
         raise FileFormatError(
             f"{str(folder)!r} was changed: {min(added)} was not written with it. If that is meant, "
-            f"remove its list {SEAL}"
+            f"remove its list {CHECKSUM_LIST}"
         )
     for name, wanted in entries:
         member = folder / name
@@ -55,11 +71,34 @@ def check_seal(folder: Path) -> None:
             )
         if google_crc32c.value(member.read_bytes()) != wanted:
             raise FileFormatError(
-                f"{str(folder)!r} is damaged: {name} is not what was written (its checksum "
-                "differs). Copy it again, or make it again"
+                f"{str(folder)!r} is damaged: the checksum of {name} differs from the one that was "
+                "written with it. Copy it again, or make it again"
             )
+    return True
+
+
+def require_checksums(folder: Path) -> None:
+    """Compare a folder with the list that it must have.
+
+    Parameters
+    ----------
+    folder : Path
+        A folder that was written with its list.
+
+    Raises
+    ------
+    FileFormatError
+        If the list or a file is missing, or a file has changed or was added.
+    """
+    if not verify_checksums(folder):
+        raise FileFormatError(
+            f"{str(folder)!r} is incomplete: its list {CHECKSUM_LIST} is missing. Copy it again, "
+            "or make it again"
+        )
 
 
 def _files(folder: Path) -> list[Path]:
     """All files but the list itself."""
-    return sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SEAL)
+    return sorted(
+        path for path in folder.rglob("*") if path.is_file() and path.name != CHECKSUM_LIST
+    )

@@ -1,4 +1,4 @@
-"""What an image is, and a series of them: the shape of every result, checked at the door."""
+"""What a valid image is, or a series of images: dimensions and variables that writers need."""
 
 from __future__ import annotations
 
@@ -15,7 +15,18 @@ SERIES_DIM = "capture"  #: leading dimension of a series of images
 
 
 def require_image(image: xr.Dataset) -> None:
-    """Refuse what is no image or a series of them, saying what is missing."""
+    """Check that a dataset is an image or a series of images.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        The dataset to check.
+
+    Raises
+    ------
+    ImageError
+        If a dimension, coordinate or variable is missing, or a variable can't be stored.
+    """
     if not isinstance(image, xr.Dataset):
         raise ImageError(f"an image is an xarray.Dataset as reconstruct gives, not {type(image)}")
     missing = [dim for dim in ("row", "col", "band") if dim not in image.dims]
@@ -41,19 +52,19 @@ def require_image(image: xr.Dataset) -> None:
 
 
 def finite(values: xr.DataArray) -> xr.DataArray:
-    """Where values are numbers, labelled as they are."""
+    """Give where values are finite numbers, with the same labels."""
     return values.copy(data=np.isfinite(values.values))
 
 
 def captures(image: xr.Dataset) -> list[xr.Dataset]:
-    """The single images of a series; the image itself if it is one."""
+    """Split a series into its images; a single image is a list of one."""
     if SERIES_DIM not in image.dims:
         return [image]
     return [image.isel({SERIES_DIM: index}) for index in range(image.sizes[SERIES_DIM])]
 
 
 def layers(image: xr.Dataset) -> list[tuple[str, int | None, NDArray[Any]]]:
-    """All planes of one image as (variable, band or None, values (row, col))."""
+    """List all planes of one image as (variable, band or None, values (row, col))."""
     found: list[tuple[str, int | None, NDArray[Any]]] = []
     for name, variable in image.data_vars.items():
         if "band" in variable.dims:
@@ -65,12 +76,24 @@ def layers(image: xr.Dataset) -> list[tuple[str, int | None, NDArray[Any]]]:
 
 
 def instrument_of(image: xr.Dataset, instrument: Instrument | None = None) -> Instrument:
-    """The instrument given, or the one that the image describes.
+    """Find the instrument of an image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        An image, whose attributes may describe the instrument.
+    instrument : Instrument, optional
+        The instrument, if it is known.
+
+    Returns
+    -------
+    Instrument
+        The instrument given, or the one that the image describes.
 
     Raises
     ------
     ImageError
-        If there is none, or it is not the one that made the image.
+        If there is neither, or the instrument given is not the one that made the image.
     """
     if instrument is None:
         text = image.attrs.get("instrument_description")

@@ -11,7 +11,7 @@ import zarr
 from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HueflightError
-from hueflight.files.atomic import optional
+from hueflight.files import import_optional
 from hueflight.model.instrument import Instrument
 
 COUNTS = "histogram"  #: name that is taken where there are several arrays
@@ -71,7 +71,7 @@ def _read_zarr(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | Non
 
 
 def _read_hdf5(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None]:
-    h5py = optional("h5py", extra="import")
+    h5py = import_optional("h5py", extra="import")
     with h5py.File(path, "r") as file:
         names: list[str] = []
         file.visititems(

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import HistogramError
+from hueflight.errors import HistogramError, InputNotFoundError
+from hueflight.files import staged
 from hueflight.importers import read_counts
 from hueflight.importers.arrays import read_array
 from hueflight.ingest import IngestReport
@@ -73,7 +74,7 @@ def read_capture(
     if not by_step:
         return Capture(*read_counts(path, instrument))
     if not path.exists():
-        raise HistogramError(f"no capture {str(path)!r}: there is no such file")
+        raise InputNotFoundError(f"no capture {str(path)!r}: there is no such file")
     stacked, described = read_array(path, None)
     known = described or instrument
     if known is None or stacked.shape[1:] != known.histogram_shape:
@@ -90,5 +91,21 @@ def losses(report: IngestReport) -> dict[str, int]:
 
 
 def write_counts(path: Path, counts: NDArray[Any], instrument: Instrument) -> None:
-    """Counts with their instrument as a compressed .npz file, as `read_capture` reads them."""
-    np.savez_compressed(path, histogram=counts, instrument=np.array(instrument.to_json()))
+    """Write counts with their instrument to a compressed .npz file, which `read_capture` reads.
+
+    Parameters
+    ----------
+    path : Path
+        Name of the file; numpy appends ``.npz`` where it is missing.
+    counts : ndarray, shape (row, col, code) or (step, row, col, code)
+        Photon counts.
+    instrument : Instrument
+        The instrument that made them.
+
+    Raises
+    ------
+    OutputError
+        If the file can't be written.
+    """
+    with staged(path, overwrite=True) as partial:
+        np.savez_compressed(partial, histogram=counts, instrument=np.array(instrument.to_json()))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import FileFormatError, InstrumentError
+from hueflight.errors import FileFormatError, InputNotFoundError, InstrumentError
 from hueflight.importers.arrays import read_array
 from hueflight.importers.tcspc import read_ptu, read_sdt
 from hueflight.model.histograms import check_histogram
@@ -62,7 +62,7 @@ def read_counts(
             f"{', '.join(ENDINGS)}"
         )
     if not path.exists():
-        raise FileFormatError(f"no counts {str(path)!r}: there is no such file")
+        raise InputNotFoundError(f"no counts {str(path)!r}: there is no such file")
     if ending in ARRAY_ENDINGS:
         array, described = read_array(path, dataset)
         chosen = _agreed(path, instrument, described)

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from hueflight.errors import ExportError, FileFormatError, ImageError
-from hueflight.files.atomic import optional
-from hueflight.files.checksums import check_seal
+from hueflight.errors import FileFormatError, ImageError, InputNotFoundError, MissingPackageError
+from hueflight.files import import_optional, verify_checksums
 from hueflight.files.image_schema import require_image
 
 ENDINGS = (".zarr", ".nc", ".nc4")
@@ -33,19 +32,19 @@ def read_image(path: str | Path, /) -> xr.Dataset:
             "one of these to read it again"
         )
     if not path.exists():
-        raise FileFormatError(f"no image {str(path)!r}: there is no such file")
+        raise InputNotFoundError(f"no image {str(path)!r}: there is no such file")
     store = path.suffix.lower() == ".zarr"
     try:
         if store:
-            check_seal(path)
+            verify_checksums(path)
             with xr.open_zarr(path, chunks=None) as opened:
                 image = opened.load()
         else:
-            optional("h5netcdf")
+            import_optional("h5netcdf", extra="import")
             with xr.open_dataset(path, engine="h5netcdf") as opened:
                 image = opened.load()
         require_image(image)
-    except (FileFormatError, ExportError):
+    except (FileFormatError, MissingPackageError):
         raise
     except ImageError as error:
         raise FileFormatError(f"{str(path)!r}: {error}") from None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HueflightError, InstrumentError
-from hueflight.files.atomic import optional
+from hueflight.files import import_optional
 from hueflight.model.instrument import Band, Instrument, Sensor, Timing
 from hueflight.model.time_bins import TimeBins
 
@@ -112,7 +112,7 @@ def tcspc_instrument(
 
 
 def _ptu_decays(path: Path, channel: int | None) -> _Decays:
-    ptufile = optional("ptufile", extra="import")
+    ptufile = import_optional("ptufile", extra="import")
     try:
         with ptufile.PtuFile(path) as ptu:
             if not ptu.is_t3:
@@ -146,7 +146,7 @@ def _ptu_decays(path: Path, channel: int | None) -> _Decays:
 
 
 def _sdt_decays(path: Path, block: str | None) -> _Decays:
-    sdtfile = optional("sdtfile", extra="import")
+    sdtfile = import_optional("sdtfile", extra="import")
     try:
         # opened here, since the reader leaves a damaged file open
         with path.open("rb") as file:

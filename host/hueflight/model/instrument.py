@@ -9,16 +9,17 @@ from __future__ import annotations
 import hashlib
 import itertools
 import tomllib
+from functools import cache
 from importlib import resources
 from math import inf, isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import InstrumentError
+from hueflight.errors import InstrumentError, InstrumentNotFoundError
 from hueflight.model.pulses import Pulse, gaussian_sigma
 from hueflight.model.time_bins import TimeBins
 
@@ -27,6 +28,42 @@ SPEED_OF_LIGHT_M_PER_NS = 0.299792458  #: exact, SI
 
 class _Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A strict, immutable table of the instrument file."""
+
+
+@cache
+def _number_fields(kind: type[_Section]) -> dict[str, type[int] | type[float]]:
+    """Fields of a section that hold numbers, with the type of these."""
+
+    def leaves(annotation: Any) -> set[Any]:
+        parts = get_args(annotation)
+        return set().union(*map(leaves, parts)) if parts else {annotation}
+
+    types = {field.name: leaves(field.type) for field in msgspec.structs.fields(kind)}
+    return {
+        name: float if float in found else int
+        for name, found in types.items()
+        if found & {int, float}
+    }
+
+
+def _normalize_numbers(section: _Section) -> None:
+    """Store numbers in the type of their field: 640 and 640.0 are equal but read differently."""
+    for name, kind in _number_fields(type(section)).items():
+        value = getattr(section, name)
+        if isinstance(value, tuple):
+            normal: Any = tuple(_normal(entry, kind) for entry in value)
+        else:
+            normal = _normal(value, kind)
+        msgspec.structs.force_setattr(section, name, normal)
+
+
+def _normal(value: Any, kind: type[int] | type[float]) -> Any:
+    """Convert a number to a type that holds it; anything else is left to the checks."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return value
+    if kind is float:
+        return float(value) + 0.0  # which makes 0.0 of -0.0
+    return int(value) if isfinite(value) and value == int(value) else value
 
 
 def _positive(where: str, value: float) -> None:
@@ -73,6 +110,7 @@ class Sensor(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     detection_probability: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        _normalize_numbers(self)
         for name in ("rows", "cols", "scan_steps"):
             if getattr(self, name) < 1:
                 raise InstrumentError(f"sensor.{name} = {getattr(self, name)}: must be at least 1")
@@ -125,6 +163,7 @@ class Timing(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     latency_ns: float = 0.0
 
     def __post_init__(self) -> None:
+        _normalize_numbers(self)
         if self.period_ns is not None:
             _positive("timing.period_ns", self.period_ns)
         _positive("timing.pulse_width_ns", self.pulse_width_ns)
@@ -153,6 +192,7 @@ class Band(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     power_mw: float = 1.0
 
     def __post_init__(self) -> None:
+        _normalize_numbers(self)
         for name in ("wavelength_nm", "pulse_fwhm_ns", "emission_fwhm_nm", "power_mw"):
             _positive(f"band {self.name!r}: {name}", getattr(self, name))
         _not_negative(f"band {self.name!r}: pulse_tail_ns", self.pulse_tail_ns)
@@ -181,6 +221,7 @@ class Lens(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     transmission: float = 0.9
 
     def __post_init__(self) -> None:
+        _normalize_numbers(self)
         _positive("lens.focal_length_mm", self.focal_length_mm)
         _positive("lens.f_number", self.f_number)
         if not 0 < self.transmission <= 1:
@@ -254,7 +295,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         try:
             text = path.read_text("utf-8")
         except FileNotFoundError:
-            raise InstrumentError(
+            raise InstrumentNotFoundError(
                 f"no instrument {str(source)!r}: neither a file nor one of the presets "
                 f"{', '.join(cls.presets())}"
             ) from None
@@ -280,16 +321,16 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
             # a check of ours arrives wrapped, with its own words as the cause
             cause = error.__cause__ if isinstance(error.__cause__, InstrumentError) else error
             raise InstrumentError(f"{where}: {cause}") from None
-        except InstrumentError as error:
-            raise InstrumentError(f"{where}: {error}") from None
 
     @classmethod
     def from_json(cls, text: str | bytes, *, where: str = "instrument") -> Instrument:
         """Instrument from what `to_json` wrote (as stored in recordings and calibrations)."""
         try:
             return msgspec.json.decode(text, type=cls)
-        except (msgspec.DecodeError, InstrumentError) as error:
-            raise InstrumentError(f"{where}: {error}") from None
+        except msgspec.DecodeError as error:
+            # a check of ours arrives wrapped, with its own words as the cause
+            cause = error.__cause__ if isinstance(error.__cause__, InstrumentError) else error
+            raise InstrumentError(f"{where}: {cause}") from None
 
     def to_json(self) -> str:
         """The whole description as JSON; equal instruments give equal text."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import RecordingError
+from hueflight.errors import RecordingError, RecordingNotFoundError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulate import checked_threads, frames_by_step
 from hueflight.ingest.accumulator import Counts, HistogramAccumulator
@@ -340,7 +340,7 @@ def open_recording(path: str | Path, /, *, kernels: Kernels | None = None) -> Re
             raise RecordingError(
                 f"{path} was not finished: get what is there with: hueflight recover {path}"
             )
-        raise RecordingError(f"no recording {str(path)!r}: there is no such file")
+        raise RecordingNotFoundError(f"no recording {str(path)!r}: there is no such file")
     segments: list[SegmentReader] = []
     try:
         for number, file in enumerate(finished):

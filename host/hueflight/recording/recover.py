@@ -15,7 +15,7 @@ import msgspec
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Header, MessageIndex, Metadata
 
-from hueflight.errors import InstrumentError, RecordingError
+from hueflight.errors import InstrumentError, RecordingError, RecordingNotFoundError
 from hueflight.ingest.buffer import PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels, choose
 from hueflight.model.instrument import Instrument, Sensor
@@ -206,7 +206,9 @@ def _files(path: Path) -> dict[int, Path]:
         for file in (*unfinished, *finished)
     }
     if not files:
-        raise RecordingError(f"no recording {str(path)!r}: there is no such file, nor a part of it")
+        raise RecordingNotFoundError(
+            f"no recording {str(path)!r}: there is no such file, nor a part of it"
+        )
     return dict(sorted(files.items()))
 
 

@@ -17,6 +17,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from hueflight.files import make_parent, replace_file
 from hueflight.model.instrument import Instrument
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.report import figures
@@ -111,14 +112,14 @@ def make_report(
     findings = run_all(
         instrument or Instrument.load("paper"), frames=frames, seed=seed, progress=shown
     )
-    out.mkdir(parents=True, exist_ok=True)
+    make_parent(out / "index.html")
     pictures: dict[str, bytes] = {}
     for section in tracked(SECTIONS, shown, "pictures", len(SECTIONS)):
         pictures[section.name] = _png(section.draw(findings))
-        (out / f"{section.name}.png").write_bytes(pictures[section.name])
+        replace_file(out / f"{section.name}.png", pictures[section.name])
     numbers = key_numbers(findings)
-    (out / "figures.json").write_text(json.dumps(numbers, indent=2) + "\n")
-    (out / "index.html").write_text(_page(findings, numbers, pictures), "utf-8")
+    replace_file(out / "figures.json", json.dumps(numbers, indent=2) + "\n")
+    replace_file(out / "index.html", _page(findings, numbers, pictures))
     return numbers
 
 

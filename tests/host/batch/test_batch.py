@@ -18,7 +18,7 @@ import xarray as xr
 import hueflight as hf
 from hueflight.batch import BatchReport, DaskCluster, Job, LocalWorkers, Outcome, reconstruct_many
 from hueflight.batch.job import work
-from hueflight.errors import BatchError, CalibrationError, ExportError
+from hueflight.errors import BatchError, CalibrationError, MissingPackageError
 from hueflight.importers import read_image
 from hueflight.importers.captures import read_capture, write_counts
 
@@ -319,7 +319,7 @@ def test_no_scheduler_is_an_error_that_says_how_to_start_one(
             captures, tmp_path / "out", calibration=calibration, scheduler="tcp://127.0.0.1:1"
         )
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(ExportError, match=r"pip install 'hueflight\[batch\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'hueflight\[batch\]'"):
         next(DaskCluster("x").run(_any_job(tmp_path), []))
 
 

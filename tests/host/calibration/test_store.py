@@ -1,12 +1,20 @@
 import dataclasses
 import json
 
+import google_crc32c
 import numpy as np
 import pytest
 import zarr
 
 import hueflight as hf
-from hueflight.errors import CalibrationError
+from hueflight.errors import (
+    CalibrationError,
+    CalibrationNotFoundError,
+    OutputError,
+    OutputExistsError,
+)
+from hueflight.files import write_checksums
+from hueflight.model.instrument import Band
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +64,7 @@ def test_the_store_says_what_it_is_to_other_tools(calibration, saved):
 
 
 def test_a_taken_name_is_kept_unless_told_otherwise(calibration, saved):
-    with pytest.raises(CalibrationError, match="exists: choose another name"):
+    with pytest.raises(OutputExistsError, match="exists already: choose another name"):
         calibration.save(saved)
     moved = dataclasses.replace(calibration, distance=0.7)
     moved.save(saved, overwrite=True)
@@ -69,7 +77,7 @@ def test_a_failed_write_leaves_nothing_under_the_name(calibration, tmp_path, mon
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(zarr.Group, "create_array", full_disk)
-    with pytest.raises(CalibrationError, match="No space left"):
+    with pytest.raises(OutputError, match="No space left"):
         calibration.save(tmp_path / "cal.zarr")
     assert not list(tmp_path.iterdir())
 
@@ -79,14 +87,14 @@ def test_a_failed_overwrite_keeps_the_old_one(calibration, saved, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(zarr.Group, "create_array", full_disk)
-    with pytest.raises(CalibrationError, match="No space left"):
+    with pytest.raises(OutputError, match="No space left"):
         calibration.save(saved, overwrite=True)
     monkeypatch.undo()
     assert hf.Calibration.load(saved).distance == calibration.distance
 
 
 def test_nothing_there(tmp_path):
-    with pytest.raises(CalibrationError, match="there is no such folder"):
+    with pytest.raises(CalibrationNotFoundError, match="there is no such folder"):
         hf.Calibration.load(tmp_path / "absent.zarr")
 
 
@@ -108,40 +116,92 @@ def test_a_foreign_store(tmp_path):
 
 
 def edit(saved, **changes):
-    meta = saved / "zarr.json"
-    tree = json.loads(meta.read_text())
-    tree["attributes"].update(changes)
-    meta.write_text(json.dumps(tree))
+    attributes = saved / ".zattrs"
+    attributes.write_text(json.dumps(json.loads(attributes.read_text()) | changes))
 
 
 def test_a_later_format(saved):
     edit(saved, format_number=99)
-    with pytest.raises(CalibrationError, match="format 99, this software reads 1"):
+    with pytest.raises(CalibrationError, match="format 99, this software reads 1 and 2"):
         hf.Calibration.load(saved)
 
 
 def test_an_edited_instrument(saved, calibration):
     changed = calibration.instrument.to_json().replace("0.642", "0.7")
     edit(saved, instrument=changed)
+    with pytest.raises(CalibrationError, match=r"damaged: .*\.zattrs"):
+        hf.Calibration.load(saved)
+    write_checksums(saved)
     with pytest.raises(CalibrationError, match="does not match its fingerprint"):
         hf.Calibration.load(saved)
 
 
 def test_a_missing_array(saved):
-    (saved / "gain" / "zarr.json").unlink()
+    (saved / "gain" / ".zarray").unlink()
     with pytest.raises(CalibrationError, match="is damaged"):
         hf.Calibration.load(saved)
 
 
 def test_a_broken_chunk(saved):
-    chunk = next(p for p in (saved / "reference" / "c").rglob("*") if p.is_file())
+    chunk = saved / "reference" / "0.0.0"
     chunk.write_bytes(b"\x00" * 10)
     with pytest.raises(CalibrationError, match="is damaged"):
         hf.Calibration.load(saved)
 
 
 def test_a_missing_chunk(saved):
-    chunk = next(p for p in (saved / "reference" / "c").rglob("*") if p.is_file())
+    chunk = saved / "reference" / "0.0.0"
     chunk.unlink()  # Zarr would read zeros
     with pytest.raises(CalibrationError, match="is damaged"):
         hf.Calibration.load(saved)
+
+
+def test_a_missing_list_of_checksums(saved):
+    (saved / ".checksums").unlink()
+    with pytest.raises(CalibrationError, match=r"damaged: .*list \.checksums is missing"):
+        hf.Calibration.load(saved)
+
+
+def as_format_1(saved, path):
+    """The same calibration as versions 0.1 wrote it: Zarr format 3, checksums of the values."""
+    new = zarr.open_group(saved, mode="r")
+    old = zarr.create_group(path, zarr_format=3)
+    checksums = {}
+    for name in (member.name for member in saved.iterdir() if member.is_dir()):
+        array = new[name]
+        old.create_array(name, data=array[...])
+        checksums[name] = google_crc32c.value(array[...].tobytes())
+    old.attrs.update(dict(new.attrs) | {"format_number": 1, "crc32c": checksums})
+
+
+def test_format_1_still_opens(calibration, saved, tmp_path):
+    as_format_1(saved, tmp_path / "old.zarr")
+    old = hf.Calibration.load(tmp_path / "old.zarr")
+    np.testing.assert_array_equal(old.reference, calibration.reference)
+    np.testing.assert_array_equal(old.pixel_delay_ns, calibration.pixel_delay_ns)
+    assert old.windows == calibration.windows
+    assert old.provenance == calibration.provenance
+
+
+def test_a_missing_chunk_of_format_1(saved, tmp_path):
+    as_format_1(saved, tmp_path / "old.zarr")
+    chunk = next(p for p in (tmp_path / "old.zarr" / "gain" / "c").rglob("*") if p.is_file())
+    chunk.unlink()
+    with pytest.raises(CalibrationError, match="gain does not match its checksum"):
+        hf.Calibration.load(tmp_path / "old.zarr")
+
+
+def test_numbers_without_a_point(calibration, tmp_path):
+    """An instrument described with 640 is the one described with 640.0."""
+    bands = tuple(
+        Band(
+            name=band.name,
+            wavelength_nm=int(band.wavelength_nm),
+            delay_ns=band.delay_ns,
+            pulse_fwhm_ns=band.pulse_fwhm_ns,
+        )
+        for band in calibration.instrument.bands
+    )
+    instrument = calibration.instrument.replace(bands=bands)
+    dataclasses.replace(calibration, instrument=instrument).save(tmp_path / "cal.zarr")
+    assert hf.Calibration.load(tmp_path / "cal.zarr").instrument == instrument

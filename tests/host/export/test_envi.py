@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from spectral.io import envi
 
-from hueflight.errors import ExportError
+from hueflight.errors import ExportError, OutputExistsError
 from hueflight.export import write, write_envi
 
 
@@ -76,7 +76,7 @@ def test_header_must_be_named_so(image: xr.Dataset, tmp_path: Path) -> None:
 
 def test_data_beside_a_header_is_not_overwritten_unasked(image: xr.Dataset, tmp_path: Path) -> None:
     (tmp_path / "scene.img").write_text("precious")
-    with pytest.raises(ExportError, match=r"scene\.img' exists already"):
+    with pytest.raises(OutputExistsError, match=r"scene\.img' exists already"):
         write(image, tmp_path / "scene.hdr")
     assert [p.name for p in tmp_path.iterdir()] == ["scene.img"]
     assert (tmp_path / "scene.img").read_text() == "precious"

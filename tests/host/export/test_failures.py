@@ -19,9 +19,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 import hueflight as hf
-from hueflight.errors import ExportError
+from hueflight.errors import ExportError, MissingPackageError, OutputError
 from hueflight.export import FORMATS, write, write_histogram, write_photons
-from hueflight.files.atomic import staged
+from hueflight.files import staged
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_no_format_leaves_a_partial_file(
     image: xr.Dataset, tmp_path: Path, name: str, file_size_limit: int
 ) -> None:
     path = tmp_path / f"scene{FORMATS[name].endings[0]}"
-    with pytest.raises(ExportError, match=r"can't write '.*scene.*Nothing new was left"):
+    with pytest.raises(OutputError, match=r"can't write '.*scene.*Nothing new was left"):
         write(image, path)
     assert not list(tmp_path.iterdir())
 
@@ -55,7 +55,7 @@ def test_a_failed_replacement_keeps_the_old_file(
     write(image, path)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     request.getfixturevalue("file_size_limit")
-    with pytest.raises(ExportError):
+    with pytest.raises(OutputError):
         write(image.isel(row=slice(None, None, 1)), path, overwrite=True)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
@@ -63,12 +63,12 @@ def test_a_failed_replacement_keeps_the_old_file(
 def test_counts_leave_no_partial_file_either(
     counts: NDArray[Any], camera: hf.Instrument, tmp_path: Path, file_size_limit: int
 ) -> None:
-    with pytest.raises(ExportError, match="File too large"):
+    with pytest.raises(OutputError, match="File too large"):
         write_histogram(counts, camera, tmp_path / "h.h5")
     rng = np.random.default_rng(0)
     codes = rng.integers(1, 499, (400, 300, *camera.image_shape), dtype=np.uint16)
     frames = iter(codes)
-    with pytest.raises(ExportError, match="File too large"):
+    with pytest.raises(OutputError, match="File too large"):
         write_photons(frames, camera, tmp_path / "p.h5")
     assert next(frames, None) is not None, "it went on writing to a full disk"
     gc.collect()  # nothing of HDF5 may linger
@@ -77,13 +77,13 @@ def test_counts_leave_no_partial_file_either(
 
 FULL_DISK = """
 import sys, xarray as xr
-from hueflight.errors import ExportError
+from hueflight.errors import OutputError
 from hueflight.export import FORMATS, write
 image = xr.open_dataset(sys.argv[1], engine="h5netcdf").load()
 for name, entry in FORMATS.items():
     try:
         write(image, "/mnt/full/scene" + entry.endings[0])
-    except ExportError as error:  # by name, and nothing lingers
+    except OutputError as error:  # by name, and nothing lingers
         assert "the disk is full" in str(error), error
         print(name, "refused", flush=True)
 import gc, os
@@ -131,7 +131,7 @@ def test_a_disk_that_is_really_full(
 
 
 def test_a_missing_folder_is_named(image: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match=r"there is no folder '.*nowhere'"):
+    with pytest.raises(OutputError, match=r"there is no folder '.*nowhere'"):
         write(image, tmp_path / "nowhere" / "x.tif")
 
 
@@ -184,7 +184,7 @@ def test_the_old_folder_comes_back_when_the_rename_fails(
 
     monkeypatch.setattr(Path, "rename", fails_for_the_new)
     with (
-        pytest.raises(ExportError, match="Input/output error"),
+        pytest.raises(OutputError, match="Input/output error"),
         staged(target, overwrite=True) as partial,
     ):
         partial.mkdir()
@@ -196,5 +196,7 @@ def test_packages_that_are_missing_are_named(
     image: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "tifffile", None)
-    with pytest.raises(ExportError, match=r"package 'tifffile': pip install 'hueflight\[export\]'"):
+    with pytest.raises(
+        MissingPackageError, match=r"package 'tifffile': pip install 'hueflight\[export\]'"
+    ):
         write(image, tmp_path / "x.tif")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hueflight.errors import ExportError, ImageError
+from hueflight.errors import ImageError, OutputExistsError
 from hueflight.export import write, write_netcdf, write_zarr
 
 
@@ -71,7 +71,7 @@ def test_names_taken_are_kept_unless_told_otherwise(image: xr.Dataset, tmp_path:
     for name in ("x.zarr", "x.nc"):
         write(image, tmp_path / name)
         changed = image.assign(depth=image["depth"] + 1)
-        with pytest.raises(ExportError, match="exists already"):
+        with pytest.raises(OutputExistsError, match="exists already"):
             write(changed, tmp_path / name)
         write(changed, tmp_path / name, overwrite=True)
         engine = "zarr" if name.endswith("zarr") else "h5netcdf"

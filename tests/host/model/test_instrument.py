@@ -8,6 +8,7 @@ import pytest
 
 from hueflight import Instrument
 from hueflight.errors import HueflightError, InstrumentError
+from hueflight.model.instrument import Band
 from hueflight.model.pulses import full_width_half_maximum
 
 SMALLEST = """
@@ -143,3 +144,35 @@ def test_a_delay_outside_the_period_is_refused() -> None:
     late = msgspec.structs.replace(paper.bands[0], delay_ns=320.0)
     with pytest.raises(InstrumentError, match=r"delay_ns = 320\.0 lies outside the period"):
         paper.replace(bands=(late, *paper.bands[1:]))
+
+
+def test_equal_instruments_have_one_fingerprint() -> None:
+    point = Band(name="red", wavelength_nm=640.0, delay_ns=(0.0, 5.0), pulse_fwhm_ns=2.0)
+    whole = Band(name="red", wavelength_nm=640, delay_ns=(-0.0, 5), pulse_fwhm_ns=2)
+    numpy = Band(
+        name="red",
+        wavelength_nm=np.float32(640),
+        delay_ns=(np.int64(0), np.float64(5)),
+        pulse_fwhm_ns=np.int32(2),
+    )
+    instruments = [
+        Instrument.load("paper").replace(bands=(band,)) for band in (point, whole, numpy)
+    ]
+    assert instruments[0] == instruments[1] == instruments[2]
+    assert len({instrument.to_json() for instrument in instruments}) == 1
+    assert len({instrument.fingerprint() for instrument in instruments}) == 1
+
+
+@pytest.mark.parametrize(
+    ("preset", "fingerprint"),
+    [
+        ("fine", "f540401fbadf2772"),
+        ("fullrate", "db8b7a6e955389a4"),
+        ("line1024", "0cba39f9ea336d09"),
+        ("paper", "068452d51bd2ad85"),
+        ("spad512", "fa48b19b42a95296"),
+    ],
+)
+def test_fingerprints_of_presets_are_fixed(preset: str, fingerprint: str) -> None:
+    """Calibrations and images that exist refer to them."""
+    assert Instrument.load(preset).fingerprint() == fingerprint

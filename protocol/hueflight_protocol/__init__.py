@@ -57,6 +57,7 @@ from .packets import (
 )
 from .parser import Damage, Packet, PacketParser, ParserReport
 from .register_file import RegisterFile
+from .register_value import RegisterValue
 from .registers import Access, Field, Place, Register, RegisterMap, Reserved
 from .wire import (
     CHUNK_WORD,
@@ -118,6 +119,7 @@ __all__ = [
     "RegisterError",
     "RegisterFile",
     "RegisterMap",
+    "RegisterValue",
     "Request",
     "Reserved",
     "Response",

@@ -28,9 +28,9 @@ def common_registers(
     const, ro = Access.CONST, Access.RO
     versions = (
         Field("protocol", 8, "version of the control protocol", reset=CONTROL_VERSION),
-        Field("patch", 8, "of the gateware"),
-        Field("minor", 8, "of the gateware"),
-        Field("major", 8, "of the gateware"),
+        Field("patch", 8, "patch version of the gateware"),
+        Field("minor", 8, "minor version of the gateware"),
+        Field("major", 8, "major version of the gateware"),
     )
     errors = (
         Field("crc", 16, "messages whose CRC was wrong, saturating"),
@@ -40,7 +40,7 @@ def common_registers(
         Field(
             "value",
             32,
-            "of the FPGA; -2^31 = not measured",
+            "temperature of the FPGA; -2^31 = not measured",
             reset=TEMPERATURE_UNKNOWN,
             unit="m°C",
             signed=True,
@@ -49,17 +49,25 @@ def common_registers(
     letters = int.from_bytes(board, "little")
     return [
         Register(
-            "board", identity, const, value(32, "letters", reset=letters), f"`{board.decode()}`"
+            "board",
+            identity,
+            const,
+            value(32, "ASCII letters, the first in the lowest byte", reset=letters),
+            "kind of board: `HCAM`, the camera, or `HILL`, the illuminator",
         ),
-        Register("versions", identity + 1, const, versions, "of protocol and gateware"),
+        Register("versions", identity + 1, const, versions, "versions of protocol and gateware"),
         Register(
-            "map", identity + 2, const, value(32, "CRC-32C"), "fingerprint of the register map"
+            "map",
+            identity + 2,
+            const,
+            value(32, "CRC-32C of the map"),
+            "fingerprint of the register map",
         ),
         Register(
             "serial",
             identity + 3,
             const,
-            value(64, "number"),
+            value(64, "serial number"),
             "serial number of the board",
             words=2,
         ),
@@ -71,7 +79,11 @@ def common_registers(
             "device clock",
         ),
         Register(
-            "source", identity + 6, const, value(32, "hash"), "first 32 bits of the source's hash"
+            "source",
+            identity + 6,
+            const,
+            value(32, "start of the hash"),
+            "first 32 bits of the source's hash",
         ),
         Register("features", identity + 7, const, features, "what this build can do"),
         Register("state", status, ro, state, "what the board is doing"),
@@ -79,8 +91,14 @@ def common_registers(
         Register(
             "uptime", status + 2, ro, value(64, "", unit="clock"), "clocks since reset", words=2
         ),
-        Register("requests", status + 4, ro, value(32, "number"), "requests answered, saturating"),
+        Register(
+            "requests",
+            status + 4,
+            ro,
+            value(32, "number of requests"),
+            "requests answered, saturating",
+        ),
         Register("request_errors", status + 5, ro, errors, "messages dropped"),
         Register("temperature", status + 6, ro, temperature, "temperature"),
-        Register("scratch", status + 7, Access.RW, value(32, "anything"), "for trying the link"),
+        Register("scratch", status + 7, Access.RW, value(32, "any number"), "for trying the link"),
     ]

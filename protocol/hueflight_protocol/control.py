@@ -19,6 +19,7 @@ from .layout import U8, U16, U32, Layout
 
 CONTROL_VERSION = 1
 MAX_WORDS = 64
+MAX_TRANSACTION = (1 << 16) - 1
 RESPONSE_BIT = 0x80
 """Set in ``op`` of a response."""
 

@@ -15,6 +15,8 @@ MAX_PULSES = 4
 MAX_STEPS = 32
 MAX_LANES = 8
 MAX_PERIOD_TICKS = 4096
+MIN_PERIOD_CLOCKS = 8
+"""Trains are at least this many clocks apart, whatever starts them."""
 _DELAY_BITS = 12
 
 
@@ -185,8 +187,8 @@ def _safety(channels: int) -> list[Register]:
             Access.CONST,
             (
                 Field("on_ticks", 12, "on at most this long without a pause", unit="tick"),
-                Field("burst_ticks", 12, "see the meaning", unit="tick"),
-                Field("duty_divisor", 8, "see the meaning; 1 = no limit"),
+                Field("burst_ticks", 12, "on-time allowed beyond the duty limit", unit="tick"),
+                Field("duty_divisor", 8, "divisor of the largest duty cycle; 1 = no limit"),
             ),
             "what no register can exceed, per channel: in any stretch of L ticks it is on for at "
             "most L / `duty_divisor` + `burst_ticks`",
@@ -216,7 +218,7 @@ def _trigger(lanes: int) -> list[Register]:
             0x021,
             Access.RW,
             value(16, "", reset=256, unit="tick"),
-            "period of the internal trigger; at least 8 clocks",
+            f"period of the internal trigger; at least {MIN_PERIOD_CLOCKS} clocks",
         ),
         Register("trigger_now", 0x022, Access.PULSE, value(1, "start a train"), "software trigger"),
         Register(
@@ -252,9 +254,9 @@ def _trigger(lanes: int) -> list[Register]:
             0x030,
             Access.RO,
             (
-                Field("last", 8, "of the last trigger", unit="tick"),
-                Field("min", 8, "smallest since cleared", unit="tick"),
-                Field("max", 8, "largest since cleared", unit="tick"),
+                Field("last", 8, "phase of the last trigger", unit="tick"),
+                Field("min", 8, "smallest phase since cleared", unit="tick"),
+                Field("max", 8, "largest phase since cleared", unit="tick"),
                 Field("valid", 1, "a trigger was seen since cleared"),
             ),
             "position of served external triggers within the clock",
@@ -337,8 +339,8 @@ def _schedule(channels: int, pulses: int) -> list[Register]:
             "bank_period",
             0x042,
             Access.RW,
-            value(13, "1 to 4096", reset=256, unit="tick"),
-            "length of a train, per bank; whole clocks of it count, 8 at least",
+            value(13, f"1 to {MAX_PERIOD_TICKS}", reset=256, unit="tick"),
+            f"length of a train, per bank; whole clocks of it count, {MIN_PERIOD_CLOCKS} at least",
             count=(BANKS,),
             strides=(1,),
         ),

@@ -4,6 +4,7 @@ It is the oracle of the gateware's register file and the front of every simulate
 """
 
 from collections.abc import Callable
+from typing import TypeVar
 
 from .control import (
     CONTROL_VERSION,
@@ -20,9 +21,12 @@ from .control import (
     encode_response,
 )
 from .errors import MessageError
+from .register_value import RegisterValue
 from .registers import WORD_BITS, Access, Place, Register, RegisterMap
 
 _WORD = (1 << WORD_BITS) - 1
+
+R = TypeVar("R", bound=RegisterValue)
 
 WriteHook = Callable[[Register, tuple[int, ...], int], None]
 RefuseHook = Callable[[Register, tuple[int, ...], int], bool]
@@ -73,6 +77,35 @@ class RegisterFile:
         register = self.registers[name]
         fields = register.decode(self.get(name, *indices)) | fields
         self._values[name, indices] = register.encode(**fields)
+
+    def load(self, register: type[R], /, *indices: int) -> R:
+        """Return the value of a register by its type.
+
+        Parameters
+        ----------
+        register : type of RegisterValue
+            Type of the register, from `typed_registers`.
+        *indices : int
+            Element of an array.
+
+        Returns
+        -------
+        RegisterValue
+            The fields.
+        """
+        return register.decode(self.registers[register.NAME], self.get(register.NAME, *indices))
+
+    def store(self, value: RegisterValue, /, *indices: int) -> None:
+        """Set all fields of a register from the hardware's side.
+
+        Parameters
+        ----------
+        value : RegisterValue
+            The register with its fields.
+        *indices : int
+            Element of an array.
+        """
+        self.set(value.NAME, *indices, **value.as_dict())
 
     def handle(self, message: bytes, /) -> bytes | None:
         """Return the answer to a message, or None for one that is dropped and counted."""

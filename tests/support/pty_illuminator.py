@@ -8,10 +8,12 @@ import pty
 import select
 import threading
 import tty
+from dataclasses import replace
 
 from hueflight_protocol import CobsDecoder, Register, RegisterFile, illuminator_map, serial_frame
 from hueflight_protocol.control import MAX_COBS_BYTES
 from hueflight_protocol.illuminator_map import ARM_KEY
+from hueflight_protocol.typed_registers import illuminator as registers
 
 POLL_S = 0.02
 CLOSE_S = 10
@@ -29,10 +31,11 @@ class PtyIlluminator:
 
     def __init__(self, channels: int) -> None:
         self.registers = RegisterFile(illuminator_map(channels=channels), on_write=self._written)
-        self.registers.set("versions", protocol=1, major=1)
-        self.registers.set("serial", value=0xBEEF)
+        self.registers.store(registers.Versions(major=1))
+        self.registers.store(registers.Serial(0xBEEF))
         for channel in range(channels):
-            self.registers.set("limit", channel, on_ticks=80, burst_ticks=80, duty_divisor=8)
+            limit = registers.Limit(on_ticks=80, burst_ticks=80, duty_divisor=8)
+            self.registers.store(limit, channel)
         self._master, self._slave = pty.openpty()
         tty.setraw(self._master)
         self.port = os.ttyname(self._slave)
@@ -43,19 +46,19 @@ class PtyIlluminator:
         self._thread.start()
 
     @property
-    def state(self) -> dict[str, int]:
+    def state(self) -> registers.State:
         """What the board is doing."""
-        return self.registers.registers["state"].decode(self.registers.get("state"))
+        return self.registers.load(registers.State)
 
     def _written(self, register: Register, _: tuple[int, ...], word: int) -> None:
-        if register.name == "arm":
-            self.registers.set("state", armed=int(word == ARM_KEY))
-        elif register.name == "watchdog_feed":
+        if register.name == registers.Arm.NAME:
+            self.registers.store(replace(self.state, armed=int(word == ARM_KEY)))
+        elif register.name == registers.WatchdogFeed.NAME:
             self.fed += 1
-        elif register.name == "sequencer_control":
-            asked = register.decode(word)
-            if asked["start"] or asked["stop"]:
-                self.registers.set("state", sequencing=asked["start"])
+        elif register.name == registers.SequencerControl.NAME:
+            asked = registers.SequencerControl.decode(register, word)
+            if asked.start or asked.stop:
+                self.registers.store(replace(self.state, sequencing=asked.start))
 
     def _serve(self) -> None:
         decoder = CobsDecoder(limit=MAX_COBS_BYTES)

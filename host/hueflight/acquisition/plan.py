@@ -14,6 +14,7 @@ from hueflight.acquisition.precision_stop import PrecisionStop
 from hueflight.devices.illumination import CaptureKind
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
+from hueflight_protocol.typed_registers.camera import FrameLimit
 
 
 class CaptureError(HueflightError):
@@ -57,8 +58,8 @@ class RunPlan:
             If a limit is negative, an LED-by-LED run has no number of frames, or depth is to be
             known of what is no scene.
         """
-        if self.frames < 0 or self.frames >= 1 << 32:
-            raise CaptureError(f"frames = {self.frames}: must be from 0 to 2**32 - 1")
+        if not 0 <= self.frames <= FrameLimit.VALUE_MAX:
+            raise CaptureError(f"frames = {self.frames}: must be from 0 to {FrameLimit.VALUE_MAX}")
         for name in ("seconds", "photons_per_pixel"):
             limit = getattr(self, name)
             if limit is not None and not 0 < limit < float("inf"):

@@ -18,6 +18,7 @@ from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.stream import Block, HistogramStream
 from hueflight.model.instrument import Instrument
 from hueflight_protocol import Event, EventCode, decode_packet
+from hueflight_protocol.typed_registers.camera import Capture
 
 LIVE_FRAMES = 480  #: behind each live picture at least, as far as the picture rate allows
 PICTURES_HZ = 30.0
@@ -122,7 +123,7 @@ class Run:
 
     def successor(self) -> Run:
         """The same run after a gap, with a stream and books of its own."""
-        label = self.label + 1 & 0xFFFFFFFF
+        label = self.label + 1 & Capture.VALUE_MAX
         other = Run(self.plan, self._instrument, self._settings, label=label, watch=self.watch)
         other.gaps = self.gaps
         other._kept = self._kept

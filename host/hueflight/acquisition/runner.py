@@ -28,6 +28,7 @@ from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.errors import HueflightError
 from hueflight.ingest.stream import Block
 from hueflight.model.instrument import Instrument
+from hueflight_protocol.typed_registers.camera import Capture
 
 RECONNECT_S = 0.5
 IDLE_S = 0.05
@@ -89,7 +90,7 @@ class Acquisition:
         self._published: tuple[Rig | None, Run | None, Recorder | None] = (None, None, None)
         self._published_s = 0.0
         self._returned: queue.SimpleQueue[Block] = queue.SimpleQueue()
-        self._label = int(time.time()) & 0xFFFFFFFF
+        self._label = int(time.time()) & Capture.VALUE_MAX
         self.snapshot = Snapshot(problem="looking for the camera")
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self._thread.start()
@@ -224,7 +225,7 @@ class Acquisition:
             return
         run = self._run
         lost: int | None = None
-        if run is not None and rig.camera.board.read("capture") == run.label:
+        if run is not None and rig.camera.run_label() == run.label:
             # a link that goes away amid a start may leave the run's label beside the counters of
             # the run before, which are booked already
             begun = run.started or rig.camera.running()
@@ -285,7 +286,7 @@ class Acquisition:
                 queue_bytes=self.settings.recorder_queue_bytes,
                 min_free_bytes=self.settings.min_free_bytes,
             )  # fmt: skip
-        self._label = self._label + 1 & 0xFFFFFFFF
+        self._label = self._label + 1 & Capture.VALUE_MAX
         self._run = Run(plan, self.instrument, self.settings, label=self._label)
         self._run_future = future
         self._start_camera(self._run)
@@ -332,7 +333,7 @@ class Acquisition:
         camera = self._rig.camera
         if camera.running():
             return
-        if camera.board.read("capture") == run.label:
+        if camera.run_label() == run.label:
             run.ended = True  # it ended by itself, and the event that says so was lost
         else:
             raise DeviceGoneError(f"{camera.identity.place}: {FORGOTTEN}")
@@ -360,7 +361,7 @@ class Acquisition:
                     self._take(run, piece, quiet_since)
                 elif run.ended:
                     break
-            if rig.camera.board.read("capture") == run.label:
+            if rig.camera.run_label() == run.label:
                 run.settle_from_registers(rig.camera, away=False)
             else:
                 seconds = time.monotonic() - max(run.last_data_s, run.began_s)

@@ -2,7 +2,8 @@
 
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.built_in_rigs import camera_plugged_in, choose_rig
-from hueflight.devices.camera import Camera, CameraCounters, CameraSettings
+from hueflight.devices.camera import Camera, CameraCounters
+from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import (
     DeviceBusyError,
     DeviceError,

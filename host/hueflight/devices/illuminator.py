@@ -1,14 +1,19 @@
-"""The illuminator: schedules, triggers and programs in; counters and phases out."""
+"""The illuminator: schedules, triggers and sequencer programs go in, counters come out."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import cycle
 
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.errors import DeviceError, DeviceTimeoutError
+from hueflight.devices.illuminator_state import (
+    IlluminatorFaults,
+    IlluminatorState,
+    TriggerCounters,
+    TriggerPhases,
+)
 from hueflight.devices.pulse_schedule import (
     Capacity,
     ChannelLimit,
@@ -21,7 +26,7 @@ from hueflight.devices.sequencer_program import ProgramStep
 from hueflight.devices.transports.interface import Transport
 from hueflight.devices.transports.serial import BAUD, SerialPort, SerialTransport
 from hueflight_protocol import illuminator_map
-from hueflight_protocol.control import MAX_WORDS, write
+from hueflight_protocol.control import MAX_TRANSACTION, MAX_WORDS, write
 from hueflight_protocol.illuminator_map import (
     ARM_KEY,
     BANKS,
@@ -30,95 +35,29 @@ from hueflight_protocol.illuminator_map import (
     Retrigger,
     TriggerSource,
 )
-
-_CAPACITY_ADDRESS, _CAPACITY_WORDS = 0x010, 2
-
-
-@dataclass(frozen=True)
-class IlluminatorState:
-    """What the board is doing.
-
-    Attributes
-    ----------
-    armed : LEDs may fire.
-    busy : a train is running.
-    bank : schedule of the last train.
-    swap_pending : another one is selected and waits for the next train.
-    sequencing : a program is running.
-    step, marker : of the program; marker on the outputs.
-    """
-
-    armed: bool
-    busy: bool
-    bank: int
-    swap_pending: bool
-    sequencing: bool
-    step: int
-    marker: int
-
-
-@dataclass(frozen=True)
-class TriggerCounters:
-    """Triggers since the counters were cleared; each stops at 2^32 - 1.
-
-    Attributes
-    ----------
-    seen, served, ignored : edges; those that began a train; those that did not.
-    restarts : trains cut by the next one.
-    swaps : changes of schedule.
-    """
-
-    seen: int
-    served: int
-    ignored: int
-    restarts: int
-    swaps: int
-
-
-@dataclass(frozen=True)
-class TriggerPhases:
-    """Where in the board's clock served external triggers fell, in ticks.
-
-    Attributes
-    ----------
-    last, smallest, largest : None if there was none since cleared.
-    counts : of each phase.
-    """
-
-    last: int | None
-    smallest: int | None
-    largest: int | None
-    counts: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class IlluminatorFaults:
-    """What went wrong since last cleared.
-
-    Attributes
-    ----------
-    watchdog : the board disarmed itself.
-    on_limited, duty_limited : channels that were cut.
-    trigger_ignored : a trigger came while a train was running.
-    saturated : a counter stands at its largest value.
-    """
-
-    watchdog: bool
-    on_limited: frozenset[int]
-    duty_limited: frozenset[int]
-    trigger_ignored: bool
-    saturated: bool
+from hueflight_protocol.typed_registers import illuminator as registers
 
 
 class Illuminator:
     """An illuminator over any transport, real or simulated.
 
-    LEDs are dark until `arm`, and dark again when nobody feeds the watchdog.
+    LEDs are off until `arm`, and off again when nobody feeds the watchdog.
 
     Parameters
     ----------
-    transport : for control messages.
-    timeout_s : longest wait for one answer.
+    transport : Transport
+        Carries control messages.
+    timeout_s : float
+        Longest time to wait for one answer, in seconds.
+
+    Attributes
+    ----------
+    identity : BoardIdentity
+        What the board says it is.
+    board : Board
+        Its registers.
+    capacity : Capacity
+        What the board was built for.
 
     Raises
     ------
@@ -127,31 +66,33 @@ class Illuminator:
     """
 
     def __init__(self, transport: Transport, /, *, timeout_s: float = 0.5) -> None:
-        # block writes count their transactions in the half that single ones begin far from
-        self._numbers = cycle(range(0x8000, 0x10000))
+        # block writes take their transaction numbers from the upper half, which single requests
+        # reach only after many thousands
+        self._numbers = cycle(range((MAX_TRANSACTION + 1) // 2, MAX_TRANSACTION + 1))
         # identity and capacity are the same in every build; the map needs the capacity first
         probe = Board(transport, illuminator_map(), timeout_s=timeout_s)
         self.identity: BoardIdentity = probe.identify(BOARD)
-        size, tick_fs = probe.read_words(_CAPACITY_ADDRESS, _CAPACITY_WORDS)
-        channels, pulses = size & 0xFF, size >> 8 & 0xFF
-        steps, lanes = size >> 16 & 0xFF, size >> 24
+        size, tick = probe.read_together(registers.Capacity, registers.TickFs)
         self.board = Board(
             transport,
             illuminator_map(
-                channels=channels,
-                pulses=pulses,
-                steps=steps,
-                lanes=lanes,
-                tick_fs=tick_fs,
+                channels=size.channels,
+                pulses=size.pulses,
+                steps=size.steps,
+                lanes=size.lanes,
+                tick_fs=tick.value,
                 clock_hz=self.identity.clock_hz,
             ),
             timeout_s=timeout_s,
         )
         self.board.check_map()
         limits = tuple(
-            ChannelLimit(**self.board.fields("limit", channel)) for channel in range(channels)
+            ChannelLimit(**self.board.read(registers.Limit, channel).as_dict())
+            for channel in range(size.channels)
         )
-        self.capacity = Capacity(channels, pulses, steps, lanes, tick_fs * 1e-6, limits)
+        self.capacity = Capacity(
+            size.channels, size.pulses, size.steps, size.lanes, tick.value * 1e-6, limits
+        )
 
     # -- arming -------------------------------------------------------------------------------
 
@@ -160,30 +101,39 @@ class Illuminator:
 
         Parameters
         ----------
-        watchdog_ms : time without a feed after which the board disarms itself.
+        watchdog_ms : int
+            Time without a feed after which the board disarms itself, in milliseconds.
 
         Raises
         ------
         ScheduleError
-            If the time is not 1 to 65535 ms.
+            If the time is out of the range that the board has.
         """
-        if not 1 <= watchdog_ms <= 65535:
-            raise ScheduleError(f"watchdog_ms = {watchdog_ms}: must be from 1 to 65535")
-        self.board.write("watchdog_ms", value=watchdog_ms)
-        self.board.write("arm", value=ARM_KEY)
+        longest = registers.WatchdogMs.VALUE_MAX
+        if not 1 <= watchdog_ms <= longest:
+            raise ScheduleError(f"watchdog_ms = {watchdog_ms}: must be from 1 to {longest}")
+        self.board.write(registers.WatchdogMs(watchdog_ms))
+        self.board.write(registers.Arm(ARM_KEY))
 
     def disarm(self) -> None:
-        """Make LEDs dark at once."""
-        self.board.write("arm", value=0)
+        """Turn LEDs off at once."""
+        self.board.write(registers.Arm(0))
 
     def feed(self) -> None:
         """Start the watchdog's time again; it does not arm."""
-        self.board.write("watchdog_feed", value=1)
+        self.board.write(registers.WatchdogFeed(1))
 
     # -- schedules ----------------------------------------------------------------------------
 
     def load(self, schedule: PulseSchedule, /, *, bank: int) -> TickSchedule:
         """Write a schedule into a bank that is not in use.
+
+        Parameters
+        ----------
+        schedule : PulseSchedule
+            Pulses of every channel.
+        bank : int
+            Schedule bank, 0 or 1.
 
         Returns
         -------
@@ -200,9 +150,9 @@ class Illuminator:
         if not 0 <= bank < BANKS:
             raise ScheduleError(f"bank = {bank}: must be 0 or 1")
         made = to_ticks(schedule, self.capacity)
-        self.board.write("bank_period", bank, value=made.busy)
-        self.board.write("bank_enable", bank, value=(1 << len(made.channels)) - 1)
-        register = self.board.registers["pulse"]
+        self.board.write(registers.BankPeriod(made.busy), bank)
+        self.board.write(registers.BankEnable((1 << len(made.channels)) - 1), bank)
+        declared = self.board.registers[registers.Pulse.NAME]
         words: dict[int, int] = {}
         for channel in range(self.capacity.channels):
             pulses = made.channels[channel] if channel < len(made.channels) else ()
@@ -210,18 +160,36 @@ class Illuminator:
                 word = 0
                 if number < len(pulses):
                     pulse = pulses[number]
-                    word = register.encode(delay=pulse.delay, width=pulse.width)
-                words[register.address_of(bank, channel, number)] = word
+                    value = registers.Pulse(delay=pulse.delay, width=pulse.width)
+                    word = value.encode(declared)
+                words[declared.address_of(bank, channel, number)] = word
         self._write_words(words)
         return made
 
     def select(self, bank: int, /) -> None:
-        """Have the next train play a bank; a running program has precedence."""
-        self.board.write("bank_select", value=bank)
+        """Have the next train play a bank; a program that is running has precedence.
+
+        Parameters
+        ----------
+        bank : int
+            Schedule bank, 0 or 1.
+        """
+        self.board.write(registers.BankSelect(bank))
 
     def play(self, schedule: PulseSchedule, /) -> TickSchedule:
-        """Load a schedule into the bank that is not in use, and have the next train play it."""
-        bank = 1 - self.board.fields("bank_select")["value"]
+        """Load a schedule into the bank that is not in use, and have the next train play it.
+
+        Parameters
+        ----------
+        schedule : PulseSchedule
+            Pulses of every channel.
+
+        Returns
+        -------
+        TickSchedule
+            What the board will play, with the errors of rounding.
+        """
+        bank = 1 - self.board.read(registers.BankSelect).value
         made = self.load(schedule, bank=bank)
         self.select(bank)
         return made
@@ -242,42 +210,67 @@ class Illuminator:
 
         Parameters
         ----------
-        source : external input, internal period, or `trigger_now`.
-        period_ns : of the internal trigger; as it was, if not given.
-        restart : a trigger during a train begins a new one, rather than being ignored.
-        falling : the external trigger's falling edge counts.
-        output : send a trigger-out with every train.
+        source : TriggerSource
+            External input, internal period, or `trigger_now`.
+        period_ns : float, optional
+            Period of the internal trigger, by default unchanged.
+        restart : bool
+            True if a trigger during a train starts a new one; otherwise it is ignored.
+        falling : bool
+            True if the falling edge of the external trigger counts.
+        output : bool
+            True to send a trigger-out with every train.
 
         Returns
         -------
         float
-            The internal period as it is made, in nanoseconds.
+            The internal period that the board makes, in nanoseconds.
+
+        Raises
+        ------
+        ScheduleError
+            If the board can't make the period.
         """
         if period_ns is not None:
-            self.board.write("trigger_period", value=self._trigger_ticks(period_ns))
+            self.board.write(registers.TriggerPeriod(self._trigger_ticks(period_ns)))
         self.board.write(
-            "trigger",
-            source=source,
-            retrigger=Retrigger.RESTART if restart else Retrigger.IGNORE,
-            falling=int(falling),
-            output=int(output),
+            registers.Trigger(
+                source=source,
+                retrigger=Retrigger.RESTART if restart else Retrigger.IGNORE,
+                falling=int(falling),
+                output=int(output),
+            )
         )
-        return self.board.read("trigger_period") * self.capacity.tick_ns
+        return self.board.read(registers.TriggerPeriod).value * self.capacity.tick_ns
 
     def set_trigger_out(self, delay_ns: float, width_ns: float, /) -> None:
-        """Place the trigger-out for a camera that follows, relative to the trigger."""
+        """Place the trigger-out for a camera that follows, relative to the trigger.
+
+        Parameters
+        ----------
+        delay_ns, width_ns : float
+            Delay after the trigger and width of the pulse, in nanoseconds.
+
+        Raises
+        ------
+        ScheduleError
+            If the board can't make one of them.
+        """
         tick = self.capacity.tick_ns
         delay, width = round(delay_ns / tick), round(width_ns / tick)
-        for name, ticks in (("delay_ns", delay), ("width_ns", width)):
-            if not 0 <= ticks <= 4095:
-                raise ScheduleError(f"{name}: must be from 0 to {4095 * tick:g} ns")
-        self.board.write("trigger_out", delay=delay, width=width)
+        for name, ticks, most in (
+            ("delay_ns", delay, registers.TriggerOut.DELAY_MAX),
+            ("width_ns", width, registers.TriggerOut.WIDTH_MAX),
+        ):
+            if not 0 <= ticks <= most:
+                raise ScheduleError(f"{name}: must be from 0 to {most * tick:g} ns")
+        self.board.write(registers.TriggerOut(delay=delay, width=width))
 
     def trigger_now(self) -> None:
-        """Start one train; the source must be software."""
-        self.board.write("trigger_now", value=1)
+        """Start one train; the trigger source must be software."""
+        self.board.write(registers.TriggerNow(1))
 
-    # -- programs -----------------------------------------------------------------------------
+    # -- sequencer programs -------------------------------------------------------------------
 
     def run(
         self,
@@ -287,37 +280,49 @@ class Illuminator:
         advance: Advance = Advance.TRIGGERS,
         loop: bool = False,
     ) -> None:
-        """Write a program and begin it; one that runs is stopped.
+        """Write a sequencer program and start it; one that is running is stopped.
 
         Parameters
         ----------
-        program : steps.
-        advance : what units are: trains, or frame syncs from the camera, of which the first
-            begins the program.
-        loop : begin again after the last step, until `stop`.
+        program : sequence of ProgramStep
+            Steps of the program.
+        advance : Advance
+            What the steps count: trains, or frame syncs from the camera, of which the first
+            starts the program.
+        loop : bool
+            True to begin again after the last step, until `stop`.
 
         Raises
         ------
         ScheduleError
-            If there are no steps, too many, or a step can't be.
+            If there are no steps or too many, or the board can't do one.
         DeviceTimeoutError
-            If the program that runs does not stop.
+            If the program that is running does not stop.
         """
-        registers = self.board.registers
         if not 1 <= len(program) <= self.capacity.steps:
             raise ScheduleError(
                 f"a program of {len(program)} steps: the board takes 1 to {self.capacity.steps}"
             )
         words = [word for number, step in enumerate(program) for word in self._step(number, step)]
-        first = registers["step_setup"].address
         self.stop()
-        self._write_words(dict(enumerate(words, first)))
-        self.board.write("sequencer", advance=advance, loop=int(loop), length=len(program))
-        self.board.write("sequencer_control", start=1)
+        self._write_words(dict(enumerate(words, registers.StepSetup.ADDRESS)))
+        self.board.write(registers.Sequencer(advance=advance, loop=int(loop), length=len(program)))
+        self.board.write(registers.SequencerControl(start=1))
 
     def stop(self, *, timeout_s: float = 0.5) -> None:
-        """End the program, if one runs; the manual schedule is back with the next train."""
-        self.board.write("sequencer_control", stop=1)
+        """End the program, if one is running; the selected bank plays with the next train.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait for the end, in seconds.
+
+        Raises
+        ------
+        DeviceTimeoutError
+            If the program does not stop in time.
+        """
+        self.board.write(registers.SequencerControl(stop=1))
         deadline = time.monotonic() + timeout_s
         while self.state().sequencing:
             if time.monotonic() > deadline:
@@ -327,60 +332,89 @@ class Illuminator:
 
     def frame_sync(self) -> None:
         """Do what the camera's frame sync does."""
-        self.board.write("sequencer_control", sync=1)
+        self.board.write(registers.SequencerControl(sync=1))
 
-    # -- what the board says ------------------------------------------------------------------
+    # -- what the board reports ---------------------------------------------------------------
 
     def state(self) -> IlluminatorState:
-        """What the board is doing."""
-        found = self.board.fields("state")
+        """Read what the board is doing.
+
+        Returns
+        -------
+        IlluminatorState
+            The state.
+        """
+        found = self.board.read(registers.State)
         return IlluminatorState(
-            armed=bool(found["armed"]),
-            busy=bool(found["busy"]),
-            bank=found["bank"],
-            swap_pending=bool(found["swap_pending"]),
-            sequencing=bool(found["sequencing"]),
-            step=found["step"],
-            marker=found["marker"],
+            armed=bool(found.armed),
+            busy=bool(found.busy),
+            bank=found.bank,
+            swap_pending=bool(found.swap_pending),
+            sequencing=bool(found.sequencing),
+            step=found.step,
+            marker=found.marker,
         )
 
     def counters(self) -> TriggerCounters:
-        """Triggers since cleared, all counted up to the same clock."""
-        first = self.board.registers["triggers_seen"].address
-        return TriggerCounters(*self.board.read_words(first, 5))
+        """Read the trigger counters, all of the same clock.
+
+        Returns
+        -------
+        TriggerCounters
+            Triggers since the counters were cleared.
+        """
+        counts = self.board.read_together(
+            registers.TriggersSeen,
+            registers.TriggersServed,
+            registers.TriggersIgnored,
+            registers.Restarts,
+            registers.Swaps,
+        )
+        return TriggerCounters(*(count.value for count in counts))
 
     def phases(self) -> TriggerPhases:
-        """Where in the clock external triggers fell."""
-        found = self.board.fields("phase")
-        lanes = self.capacity.lanes
-        counts = self.board.read_words(self.board.registers["phase_count"].address, lanes)
-        if not found["valid"]:
+        """Read where within the clock external triggers fell.
+
+        Returns
+        -------
+        TriggerPhases
+            Phases since the statistics were cleared.
+        """
+        found = self.board.read(registers.Phase)
+        counts = self.board.read_elements(registers.PhaseCount)
+        if not found.valid:
             return TriggerPhases(None, None, None, counts)
-        return TriggerPhases(found["last"], found["min"], found["max"], counts)
+        return TriggerPhases(found.last, found.min, found.max, counts)
 
     def faults(self) -> IlluminatorFaults:
-        """What went wrong since last cleared."""
-        found = self.board.fields("faults")
-        on, duty = self.board.read("on_limited"), self.board.read("duty_limited")
+        """Read what went wrong since the faults were cleared.
+
+        Returns
+        -------
+        IlluminatorFaults
+            The faults.
+        """
+        found = self.board.read(registers.Faults)
+        on, duty = self.board.read(registers.OnLimited), self.board.read(registers.DutyLimited)
         return IlluminatorFaults(
-            watchdog=bool(found["watchdog"]),
-            on_limited=_channels(on),
-            duty_limited=_channels(duty),
-            trigger_ignored=bool(found["trigger_ignored"]),
-            saturated=bool(found["saturated"]),
+            watchdog=bool(found.watchdog),
+            on_limited=self._channels(on.value),
+            duty_limited=self._channels(duty.value),
+            trigger_ignored=bool(found.trigger_ignored),
+            saturated=bool(found.saturated),
         )
 
     def clear(self) -> None:
-        """Set counters, phases and faults to nothing."""
+        """Clear counters, phases and faults."""
         every = (1 << self.capacity.channels) - 1
-        self.board.write("clear", counters=1, phase=1)
-        self.board.write("on_limited", value=every)
-        self.board.write("duty_limited", value=every)
-        faults = self.board.registers["faults"]
-        self.board.write("faults", **dict.fromkeys(faults.fields, 1))
+        self.board.write(registers.Clear(counters=1, phase=1))
+        self.board.write(registers.OnLimited(every))
+        self.board.write(registers.DutyLimited(every))
+        faults = dict.fromkeys(registers.Faults.field_names(), 1)
+        self.board.write(registers.Faults(**faults))
 
     def close(self) -> None:
-        """Make LEDs dark and give the line back."""
+        """Turn LEDs off and release the line."""
         try:
             self.disarm()
         finally:
@@ -389,29 +423,38 @@ class Illuminator:
     def _trigger_ticks(self, period_ns: float) -> int:
         tick = self.capacity.tick_ns
         ticks = round(period_ns / tick)
-        shortest = 8 * self.capacity.lanes
-        if not shortest <= ticks <= 0xFFFF:
+        shortest, longest = self.capacity.min_period_ticks, registers.TriggerPeriod.VALUE_MAX
+        if not shortest <= ticks <= longest:
             raise ScheduleError(
-                f"period_ns = {period_ns}: must be from {shortest * tick:g} to {0xFFFF * tick:g} ns"
+                f"period_ns = {period_ns}: must be from {shortest * tick:g} to {longest * tick:g} "
+                "ns"
             )
         return ticks
 
     def _step(self, number: int, step: ProgramStep) -> tuple[int, int, int, int]:
+        """Return the words of a step: setup, channels, count and idle time."""
         channels = range(self.capacity.channels) if step.channels is None else step.channels
         for name, value, high in (
-            ("count", step.count, 0xFFFFFFFF),
-            ("idle", step.idle, 0xFFFFFFFF),
-            ("marker", step.marker, 0xFF),
-            ("bank", step.bank, BANKS - 1),
+            ("count", step.count, registers.StepCount.VALUE_MAX),
+            ("idle", step.idle, registers.StepIdle.VALUE_MAX),
+            ("marker", step.marker, registers.StepSetup.MARKER_MAX),
+            ("bank", step.bank, registers.StepSetup.BANK_MAX),
             *(("channel", channel, self.capacity.channels - 1) for channel in channels),
         ):
             if not 0 <= value <= high:
                 raise ScheduleError(f"step {number}: {name} = {value} is not from 0 to {high}")
-        setup = self.board.registers["step_setup"].encode(bank=step.bank, marker=step.marker)
-        return setup, sum(1 << channel for channel in channels), step.count, step.idle
+        setup = registers.StepSetup(bank=step.bank, marker=step.marker)
+        word = setup.encode(self.board.registers[setup.NAME])
+        return word, sum(1 << channel for channel in channels), step.count, step.idle
+
+    def _channels(self, bits: int) -> frozenset[int]:
+        """Return the channels whose bits are set."""
+        return frozenset(
+            channel for channel in range(self.capacity.channels) if bits >> channel & 1
+        )
 
     def _write_words(self, words: Mapping[int, int]) -> None:
-        """Write words by address, neighbours together."""
+        """Write words by address, consecutive ones in one request."""
         places = sorted(words)
         while places:
             count = 1
@@ -425,6 +468,18 @@ class Illuminator:
 def open_illuminator(path: str, /, *, baud: int = BAUD) -> Illuminator:
     """Open the illuminator on a serial port.
 
+    Parameters
+    ----------
+    path : str
+        Serial port, such as ``/dev/ttyUSB0``.
+    baud : int
+        Line rate in bits per second.
+
+    Returns
+    -------
+    Illuminator
+        The board, LEDs off.
+
     Raises
     ------
     DeviceError
@@ -436,7 +491,3 @@ def open_illuminator(path: str, /, *, baud: int = BAUD) -> Illuminator:
     except DeviceError:
         line.close()
         raise
-
-
-def _channels(bits: int) -> frozenset[int]:
-    return frozenset(channel for channel in range(32) if bits >> channel & 1)

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
-from hueflight_protocol.illuminator_map import MAX_PERIOD_TICKS
+from hueflight_protocol.illuminator_map import MAX_PERIOD_TICKS, MIN_PERIOD_CLOCKS
 
 
 class ScheduleError(HueflightError):
@@ -116,6 +116,11 @@ class Capacity:
     tick_ns: float
     limits: tuple[ChannelLimit, ...]
 
+    @property
+    def min_period_ticks(self) -> int:
+        """Shortest period of a train, in ticks."""
+        return MIN_PERIOD_CLOCKS * self.lanes
+
 
 @dataclass(frozen=True)
 class TickPulse:
@@ -159,7 +164,7 @@ def to_ticks(schedule: PulseSchedule, capacity: Capacity, /) -> TickSchedule:
     """
     tick = capacity.tick_ns
     period = _ticks(schedule.period_ns, tick, "period_ns")
-    shortest = 8 * capacity.lanes
+    shortest = capacity.min_period_ticks
     if not shortest <= period <= MAX_PERIOD_TICKS:
         raise ScheduleError(
             f"period_ns = {schedule.period_ns}: must be from {shortest * tick:g} to "

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-FOREVER = (1 << 32) - 1
+from hueflight_protocol.typed_registers.illuminator import StepCount
+
+FOREVER = StepCount.VALUE_MAX
 """Longest count: three months of the paper's frames."""
 
 

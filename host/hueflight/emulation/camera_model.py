@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hueflight.emulation.frame_bank import FrameBank
 from hueflight.model.instrument import Sensor
@@ -20,18 +20,19 @@ from hueflight_protocol import (
     PacketHeader,
     Register,
     RegisterFile,
+    RegisterValue,
     Status,
     camera_map,
     encode_event,
     encode_status,
     encode_test_pattern,
 )
+from hueflight_protocol.typed_registers import camera as registers
 from hueflight_protocol.wire import PatternKind
 
 CLOCK_HZ = 100_000_000
 LANES = 64  #: a readout takes little time, so that every preset's frame rate is nearly reached
 BUFFER_BYTES = 8 << 20  #: a software clock is late by milliseconds, so it needs more than a board
-_SATURATED = (1 << 32) - 1
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,9 @@ class CameraModel:
             ),
             on_write=self._written,
         )  # fmt: skip
-        self.registers.set("serial", value=serial)
-        self.registers.set("versions", protocol=1, major=1)
-        self.registers.set("features", overlap=1)
+        self.registers.store(registers.Serial(serial))
+        self.registers.store(registers.Versions(major=1))
+        self.registers.store(registers.Features(overlap=1))
         self._readout_clocks = -(-sensor.rows * sensor.cols // LANES)
         self._buffer_bytes = buffer_bytes
         self._now_s = now_s
@@ -107,30 +108,30 @@ class CameraModel:
 
     def _publish(self) -> None:
         """Show the counters in the registers."""
-        registers = self.registers
         clock = int((self._now_s() - self._powered_s) * CLOCK_HZ)
-        for name, value in (
-            ("uptime", clock),
-            ("timestamp", clock),
-            ("frame", max(0, self._frame - 1)),
-            ("frames_sent", self._sent_whole),
-            ("frames_dropped", min(self._dropped, _SATURATED)),
-            ("buffer_peak", min(self._peak, _SATURATED)),
-            ("sequence", self._sequence),
+        for value in (
+            registers.Uptime(clock),
+            registers.Timestamp(clock),
+            registers.Frame(max(0, self._frame - 1)),
+            registers.FramesSent(self._sent_whole),
+            registers.FramesDropped(min(self._dropped, registers.FramesDropped.VALUE_MAX)),
+            registers.BufferPeak(min(self._peak, registers.BufferPeak.VALUE_MAX)),
+            registers.Sequence(self._sequence),
+            registers.State(running=int(self._running)),
         ):
-            registers.set(name, value=value)
-        registers.set("state", running=int(self._running))
+            self.registers.store(value)
         if self._dropped:
-            registers.set("faults", dropped=1)
+            faults = self.registers.load(registers.Faults)
+            self.registers.store(replace(faults, dropped=1))
 
     def _written(self, register: Register, _: tuple[int, ...], word: int) -> None:
-        if register.name == "run":
-            asked = register.decode(word)
-            if asked["start"]:
+        if register.name == registers.Run.NAME:
+            asked = registers.Run.decode(register, word)
+            if asked.start:
                 self._start()
-            if asked["stop"] or asked["abort"]:
+            if asked.stop or asked.abort:
                 self._stop()
-        elif register.name == "test_send":
+        elif register.name == registers.TestSend.NAME:
             self._send_test()
 
     def _start(self) -> None:
@@ -147,24 +148,28 @@ class CameraModel:
             self._event(EventCode.RUN_STOPPED, self._frame)
 
     def _send_test(self) -> None:
-        fields = self.registers.registers["test_packet"].decode(self.registers.get("test_packet"))
+        asked = self.registers.load(registers.TestPacket)
         self._put(
             encode_test_pattern(
                 self._header(),
-                pattern=PatternKind(fields["pattern"]),
-                seed=self.registers.get("test_seed"),
-                words=fields["words"],
+                pattern=PatternKind(asked.pattern),
+                seed=self._value(registers.TestSeed),
+                words=asked.words,
             )
         )
+
+    def _value(self, register: type[RegisterValue]) -> int:
+        """Return a register as one number; cheap, because every frame needs some."""
+        return self.registers.get(register.NAME)
 
     # -- stream -------------------------------------------------------------------------------
 
     @property
     def frame_s(self) -> float:
         """Time from one frame to the next, as the registers have it."""
-        get = self.registers.get
-        exposed = get("period") * get("exposure") + get("gap")
-        if get("readout"):
+        value = self._value
+        exposed = value(registers.Period) * value(registers.Exposure) + value(registers.Gap)
+        if value(registers.Readout):
             return max(exposed, self._readout_clocks) / CLOCK_HZ
         return (exposed + self._readout_clocks) / CLOCK_HZ
 
@@ -175,7 +180,7 @@ class CameraModel:
                 return
             frame_s = self.frame_s
             due = int((self._now_s() - self._started_s) / frame_s)
-            limit = self.registers.get("frame_limit")
+            limit = self._value(registers.FrameLimit)
             if limit:
                 due = min(due, limit)
             while self._frame < due:
@@ -193,7 +198,7 @@ class CameraModel:
                 sequence=self._sequence,
                 timestamp=int(self._frame * frame_s * CLOCK_HZ),
                 frame=self._frame,
-                dropped=min(self._dropped, _SATURATED),
+                dropped=min(self._dropped, registers.FramesDropped.VALUE_MAX),
                 capture=self._capture,
                 clock_hz=CLOCK_HZ,
             )
@@ -201,7 +206,7 @@ class CameraModel:
             self.sent = Sent(self.sent.frames + 1, self.sent.dropped, self.sent.packets)
             self._put(packet)
         self._frame += 1
-        interval = self.registers.get("status_interval")
+        interval = self._value(registers.StatusInterval)
         if interval and self._frame % interval == 0:
             self._put(encode_status(self._status()))
 
@@ -234,14 +239,13 @@ class CameraModel:
             self._waiting_bytes = 0
             self._frame = self._dropped = self._sent_whole = self._peak = self._sequence = 0
             self._powered_s = self._now_s()
-            registers = self.registers
-            for register in registers.registers:
+            for register in self.registers.registers:
                 if register.access.writable and not register.count:
-                    registers.set(register.name, **register.decode(register.reset))
+                    self.registers.set(register.name, **register.decode(register.reset))
 
     @property
     def _capture(self) -> int:
-        return self.registers.get("capture")
+        return self._value(registers.Capture)
 
     def _header(self) -> PacketHeader:
         return PacketHeader(
@@ -257,12 +261,12 @@ class CameraModel:
         return Status(
             self._header(),
             frames_sent=self._sent_whole,
-            frames_dropped=min(self._dropped, _SATURATED),
-            buffer_peak=min(self._peak, _SATURATED),
+            frames_dropped=min(self._dropped, registers.FramesDropped.VALUE_MAX),
+            buffer_peak=min(self._peak, registers.BufferPeak.VALUE_MAX),
         )
 
     def _put(self, packet: bytes) -> None:
-        self._sequence = self._sequence + 1 & _SATURATED
+        self._sequence = self._sequence + 1 & registers.Sequence.VALUE_MAX
         self._waiting.append(packet)
         self._waiting_bytes += len(packet)
         self._peak = max(self._peak, self._waiting_bytes)

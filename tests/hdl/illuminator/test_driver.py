@@ -12,7 +12,8 @@ from hueflight.devices.sequencer_program import ProgramStep, alternate, each_alo
 from hueflight.devices.transports.serial import SerialTransport
 from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
 from hueflight_hdl.simulation.ticks import ticks_to_words
-from hueflight_protocol.illuminator_map import Advance, TriggerSource
+from hueflight_protocol.illuminator_map import ARM_KEY, Advance, TriggerSource
+from hueflight_protocol.typed_registers import illuminator as registers
 
 TICK_NS = 12.5  # 20 MHz, four lanes
 THREE = PulseSchedule.even(3, spacing_ns=24 * TICK_NS, width_ns=8 * TICK_NS, period_ns=3200)
@@ -159,20 +160,20 @@ def test_the_watchdog_disarms(driver: Illuminator, bench: IlluminatorBench):
 
 
 def test_a_watchdog_of_no_time_keeps_it_disarmed(driver: Illuminator):
-    driver.board.write("watchdog_ms", value=0)
-    driver.board.write("arm", value=0x214D5241)
+    driver.board.write(registers.WatchdogMs(0))
+    driver.board.write(registers.Arm(ARM_KEY))
     assert not driver.state().armed
     driver.arm(watchdog_ms=1000)
     assert driver.state().armed
-    driver.board.write("watchdog_ms", value=0)
+    driver.board.write(registers.WatchdogMs(0))
     assert not driver.state().armed
 
 
 def test_anything_but_the_key_disarms(driver: Illuminator):
-    for word in (0, 1, 0x214D5240, 0xFFFFFFFF):
+    for word in (0, 1, ARM_KEY - 1, 0xFFFFFFFF):
         driver.arm(watchdog_ms=1000)
         assert driver.state().armed
-        driver.board.write("arm", value=word)
+        driver.board.write(registers.Arm(word))
         assert not driver.state().armed
 
 
@@ -265,9 +266,9 @@ def test_what_the_limiter_cuts_is_said(driver: Illuminator, bench: IlluminatorBe
         driver.play(greedy)
     driver.load(THREE, bank=0)
     driver.select(0)
-    driver.board.write("pulse", 0, 0, 0, delay=0, width=90)
-    driver.board.write("pulse", 0, 1, 0, delay=0, width=70)
-    driver.board.write("pulse", 0, 1, 1, delay=72, width=70)
+    driver.board.write(registers.Pulse(delay=0, width=90), 0, 0, 0)
+    driver.board.write(registers.Pulse(delay=0, width=70), 0, 1, 0)
+    driver.board.write(registers.Pulse(delay=72, width=70), 0, 1, 1)
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=2048 * TICK_NS)
     driver.arm(watchdog_ms=1000)
     bench.advance(2000)
@@ -304,16 +305,23 @@ def test_noise_on_the_line_changes_nothing(driver: Illuminator, bench: Illuminat
     driver.play(THREE)
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
     driver.arm(watchdog_ms=1000)
-    names = ("watchdog_ms", "trigger", "trigger_period", "bank_select", "scratch", "sequencer")
-    before = [driver.board.read(name) for name in names]
-    errors = driver.board.fields("request_errors")
+    kept = (
+        registers.WatchdogMs,
+        registers.Trigger,
+        registers.TriggerPeriod,
+        registers.BankSelect,
+        registers.Scratch,
+        registers.Sequencer,
+    )
+    before = [driver.board.read(register) for register in kept]
+    errors = driver.board.read(registers.RequestErrors)
     rng = np.random.default_rng(7)
     for density in (0.02, 0.1, 0.5):
         bench.write_levels((rng.random(30_000) > density).repeat(int(rng.integers(1, 9))))
         bench.write_levels(np.ones(400))
-    assert [driver.board.read(name) for name in names] == before
-    after = driver.board.fields("request_errors")
-    assert after["framing"] + after["crc"] > errors["framing"] + errors["crc"]
+    assert [driver.board.read(register) for register in kept] == before
+    after = driver.board.read(registers.RequestErrors)
+    assert after.framing + after.crc > errors.framing + errors.crc
     assert driver.state().armed
 
 

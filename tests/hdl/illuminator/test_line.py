@@ -22,6 +22,7 @@ from hueflight_protocol import (
 )
 from hueflight_protocol.checksum import crc32c
 from hueflight_protocol.control import MAX_COBS_BYTES, MAX_MESSAGE_BYTES, Result, read, write
+from hueflight_protocol.typed_registers import illuminator as registers
 
 from .conftest import SMALL
 
@@ -36,16 +37,18 @@ Damage = Callable[[np.random.Generator, bytes], tuple[list[bytes], str]]
 def armed(driver: Illuminator) -> Illuminator:
     """A board at work, whose registers are not what they were after reset."""
     driver.play(PulseSchedule.even(3, spacing_ns=300, width_ns=100, period_ns=3200))
-    driver.board.write("scratch", value=0x600D)
-    driver.board.write("step_count", 1, value=7)
+    driver.board.write(registers.Scratch(0x600D))
+    driver.board.write(registers.StepCount(7), 1)
     driver.arm(watchdog_ms=65535)
     return driver
 
 
-def kept(driver: Illuminator) -> dict[tuple[str, tuple[int, ...]], int]:
+def kept(driver: Illuminator) -> dict[tuple[str, tuple[int, ...]], tuple[int, ...]]:
     """Every register that a request could have written."""
     return {
-        (register.name, indices): driver.board.read(register.name, *indices)
+        (register.name, indices): driver.board.read_words(
+            register.address_of(*indices), register.words
+        )
         for register in MAP
         if register.access is Access.RW
         for indices in register.elements()
@@ -121,7 +124,7 @@ def test_damage_is_counted_and_changes_nothing(
 ):
     """Six of each, each followed at once by a good request, which is done."""
     rng = np.random.default_rng(11)
-    before, errors = kept(armed), armed.board.fields("request_errors")
+    before, errors = kept(armed), armed.board.read(registers.RequestErrors)
     expected = {"crc": 0, "framing": 0}
     for number in range(6):
         frames, kind = damage(rng, harm(number))
@@ -129,15 +132,16 @@ def test_damage_is_counted_and_changes_nothing(
         good = serial_frame(encode_request(read(100 + number, SCRATCH)))
         (answer,) = exchange(bench, b"".join(frames) + good, rest=30)
         assert (answer.transaction, answer.payload) == (100 + number, (0x600D,))
-    after = armed.board.fields("request_errors")
-    assert {name: after[name] - errors[name] for name in expected} == expected
+    after = armed.board.read(registers.RequestErrors)
+    counted = {"crc": after.crc - errors.crc, "framing": after.framing - errors.framing}
+    assert counted == expected
     assert kept(armed) == before
     assert armed.state().armed
 
 
 def test_a_byte_without_stop_bit(armed: Illuminator, bench: IlluminatorBench):
     """Any byte of a frame; the frame is bad, once the delimiter comes that it may have hidden."""
-    errors = armed.board.fields("request_errors")["framing"]
+    errors = armed.board.read(registers.RequestErrors).framing
     frame = serial_frame(harm(1))
     for index in range(len(frame) - 1):
         levels = line_levels(frame, clocks_per_bit=BIT_CLOCKS)
@@ -145,8 +149,8 @@ def test_a_byte_without_stop_bit(armed: Illuminator, bench: IlluminatorBench):
         levels[stop] = 0
         bench.write_levels(np.concatenate((levels, np.ones(BYTE_CLOCKS, np.uint8))))
         assert exchange(bench, b"\0", rest=len(frame) + 5) == []
-    assert armed.board.read("scratch") == 0x600D
-    assert armed.board.fields("request_errors")["framing"] - errors == len(frame) - 1
+    assert armed.board.read(registers.Scratch).value == 0x600D
+    assert armed.board.read(registers.RequestErrors).framing - errors == len(frame) - 1
 
 
 def test_a_break_on_the_line(armed: Illuminator, bench: IlluminatorBench):
@@ -160,43 +164,43 @@ def test_a_break_on_the_line(armed: Illuminator, bench: IlluminatorBench):
 
 def test_requests_back_to_back_at_full_rate(armed: Illuminator, bench: IlluminatorBench):
     """Writes without a bit between them, at the fastest rate the clock allows: all are done."""
-    errors = armed.board.fields("request_errors")
+    errors = armed.board.read(registers.RequestErrors)
     line = b"".join(
         serial_frame(encode_request(write(number, SCRATCH, [number]))) for number in range(60)
     )
     answers = exchange(bench, line)
     assert [answer.transaction for answer in answers] == list(range(60))
     assert {answer.result for answer in answers} == {Result.OK}
-    assert armed.board.read("scratch") == 59
-    assert armed.board.fields("request_errors") == errors
+    assert armed.board.read(registers.Scratch).value == 59
+    assert armed.board.read(registers.RequestErrors) == errors
 
 
 def test_more_requests_than_the_line_can_answer(armed: Illuminator, bench: IlluminatorBench):
     """Long answers to short requests: what does not fit is dropped whole and counted."""
-    errors = armed.board.fields("request_errors")["framing"]
+    errors = armed.board.read(registers.RequestErrors).framing
     address = MAP["step_setup"].address
     sent = 60
     line = b"".join(
         serial_frame(encode_request(read(number, address, 16))) for number in range(sent)
     )
     answers = exchange(bench, line, rest=sent * 80)
-    dropped = armed.board.fields("request_errors")["framing"] - errors
+    dropped = armed.board.read(registers.RequestErrors).framing - errors
     numbers = [answer.transaction for answer in answers]
     assert 0 < dropped < sent
     assert len(answers) + dropped == sent
     assert numbers == sorted(set(numbers))
     assert {answer.result for answer in answers} == {Result.OK}
-    assert armed.board.read("scratch") == 0x600D
+    assert armed.board.read(registers.Scratch).value == 0x600D
 
 
 @pytest.mark.slow
 def test_random_bytes_in_bulk(armed: Illuminator, bench: IlluminatorBench):
     """5000 random bytes, in frames of every length; chances of a good CRC are 1 in 10^7."""
     rng = np.random.default_rng(12)
-    before, errors = kept(armed), armed.board.fields("request_errors")
+    before, errors = kept(armed), armed.board.read(registers.RequestErrors)
     answers = exchange(bench, rng.integers(0, 256, 5000, dtype=np.uint8).tobytes() + b"\0")
     assert answers == []
-    after = armed.board.fields("request_errors")
-    assert after["framing"] - errors["framing"] > 10
+    after = armed.board.read(registers.RequestErrors)
+    assert after.framing - errors.framing > 10
     assert kept(armed) == before
     assert armed.state().armed

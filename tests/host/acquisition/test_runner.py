@@ -20,6 +20,7 @@ from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceGoneError
 from hueflight.recording import open_recording
 from hueflight.recording.segment import Segment
+from hueflight_protocol.typed_registers import camera as registers
 from support.faulty_rig import FaultyRig
 
 WAIT_S = 20.0
@@ -154,7 +155,7 @@ def test_unplugged_amid_a_start(
 
     def start(self: Camera, *, capture: int = 0, frame_limit: int = 0) -> None:
         if next(cut, False):
-            self.board.write("capture", value=capture)
+            self.board.write(registers.Capture(capture))
             raise DeviceGoneError("test rig: unplugged amid a start")
         whole(self, capture=capture, frame_limit=frame_limit)
 

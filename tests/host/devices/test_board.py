@@ -14,22 +14,21 @@ from hueflight.emulation.simulated_transport import SimulatedTransport
 from hueflight_protocol import RegisterFile, camera_map, encode_request, illuminator_map
 from hueflight_protocol.camera_map import BOARD
 from hueflight_protocol.control import read
+from hueflight_protocol.typed_registers import camera
 
 
 def board(handle: Callable[[bytes], bytes | None]) -> Board:
     return Board(SimulatedTransport(handle, "test line"), camera_map(), timeout_s=0.01)
 
 
-def test_registers_by_name() -> None:
+def test_registers_by_type() -> None:
     registers = RegisterFile(camera_map())
     registers.set("frames_sent", value=0x1_2345_6789)
     made = board(registers.handle)
-    assert made.read("frames_sent") == 0x1_2345_6789
-    made.write("trigger", width=7, inverted=1)
-    assert made.fields("trigger") == {
-        "width": 7, "inverted": 1, "always": 0, "sync_width": 8
-    }  # fmt: skip
-    made.write_elements("pixel_mask", list(range(768)))
+    assert made.read(camera.FramesSent).value == 0x1_2345_6789
+    made.write(camera.Trigger(width=7, inverted=1))
+    assert made.read(camera.Trigger) == camera.Trigger(width=7, inverted=1, always=0, sync_width=8)
+    made.write_elements(camera.PixelMask, list(range(768)))
     assert [registers.get("pixel_mask", i) for i in (0, 64, 767)] == [0, 64, 767]
 
 
@@ -65,13 +64,13 @@ def test_another_map_is_refused() -> None:
 def test_refusals_say_what_and_where() -> None:
     made = board(RegisterFile(camera_map()).handle)
     with pytest.raises(RequestError, match="READ_ONLY to WRITE of register 'frames_sent'"):
-        made.write("frames_sent", value=1)
+        made.write(camera.FramesSent(1))
 
 
 def test_silence_names_the_request() -> None:
     made = board(lambda message: None)
     with pytest.raises(DeviceTimeoutError, match="did not answer READ of register 'frame'"):
-        made.read("frame")
+        made.read(camera.Frame)
 
 
 @given(st.lists(st.sampled_from(["lose", "damage", "answer"]), max_size=2), st.booleans())
@@ -91,7 +90,7 @@ def test_reads_survive_two_bad_answers(fates: list[str], before: bool) -> None:
             return None
         return answer if what == "answer" else answer[:-1] + bytes([answer[-1] ^ 1])
 
-    assert board(handle).read("marker") == 77
+    assert board(handle).read(camera.Marker).value == 77
 
 
 def test_a_pulse_is_never_sent_twice() -> None:
@@ -103,7 +102,7 @@ def test_a_pulse_is_never_sent_twice() -> None:
         registers.handle(message)
 
     with pytest.raises(DeviceTimeoutError, match="asked 1 times"):
-        board(deaf).write("run", start=1)
+        board(deaf).write(camera.Run(start=1))
     assert seen == [1]
 
 
@@ -120,9 +119,9 @@ def test_a_late_answer_is_not_taken_for_another() -> None:
 
     transport.receive = receive  # type: ignore[method-assign]
     made = Board(transport, camera_map(), timeout_s=0.05)
-    made.read("frame")
+    made.read(camera.Frame)
     older = read(0x7FFF, made.registers["requests"].address)
     stale = registers.handle(encode_request(older))
     assert stale is not None
     late.append(stale)
-    assert made.read("marker") == 5
+    assert made.read(camera.Marker).value == 5

@@ -1,4 +1,4 @@
-"""The illuminator as the lights of captures, over a pseudo terminal and real pyserial."""
+"""The illuminator as the illumination of captures, over a pseudo terminal and real pyserial."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from hueflight.devices import (
 )
 from hueflight.devices.built_in_rigs import open_illumination
 from hueflight_protocol.illuminator_map import Advance, TriggerSource
+from hueflight_protocol.typed_registers import illuminator as registers
 from support.faulty_rig import FaultyRig
 from support.pty_illuminator import PtyIlluminator
 
@@ -47,40 +48,38 @@ def until(condition: Callable[[], bool], what: str) -> None:
 def test_each_kind_of_capture_lights_what_it_needs(
     board: PtyIlluminator, fast: hf.Instrument
 ) -> None:
-    lights = open_illumination(board.port, fast)
-    assert lights.name == board.port
-    registers = board.registers
-    source = registers.registers["trigger"].decode(registers.get("trigger"))["source"]
-    assert source == TriggerSource.EXTERNAL
-    assert not board.state["armed"]
-    lights.prepare("scene", 0)
-    assert board.state["armed"]
-    assert not board.state["sequencing"]
-    lights.prepare("bands", 40)
-    assert board.state["armed"]
-    assert board.state["sequencing"]
-    program = registers.registers["sequencer"].decode(registers.get("sequencer"))
-    assert program["advance"] == Advance.FRAME_SYNC
-    assert program["length"] >= len(fast.bands)
+    illumination = open_illumination(board.port, fast)
+    assert illumination.name == board.port
+    assert board.registers.load(registers.Trigger).source == TriggerSource.EXTERNAL
+    assert not board.state.armed
+    illumination.prepare("scene", 0)
+    assert board.state.armed
+    assert not board.state.sequencing
+    illumination.prepare("bands", 40)
+    assert board.state.armed
+    assert board.state.sequencing
+    program = board.registers.load(registers.Sequencer)
+    assert program.advance == Advance.FRAME_SYNC
+    assert program.length >= len(fast.bands)
     for kind in ("dark", "flat"):
-        lights.prepare("scene", 0)
-        lights.prepare(kind, 40)
-        assert not board.state["armed"], kind
-    lights.prepare("scene", 0)
+        illumination.prepare("scene", 0)
+        illumination.prepare(kind, 40)
+        assert not board.state.armed, kind
+    illumination.prepare("scene", 0)
     fed = board.fed
-    lights.keep_alive()
+    illumination.keep_alive()
     assert board.fed == fed + 1
-    lights.close()
-    assert not board.state["armed"]
+    illumination.close()
+    assert not board.state.armed
 
 
 def test_a_port_that_is_held_and_one_that_is_not_there(
     board: PtyIlluminator, fast: hf.Instrument
 ) -> None:
-    lights = open_illumination(board.port, fast)
+    illumination = open_illumination(board.port, fast)
     with pytest.raises(DeviceBusyError, match="another program holds"):
         open_illumination(board.port, fast)
-    lights.close()
+    illumination.close()
     with pytest.raises(DeviceNotFoundError, match="is the illuminator plugged in"):
         open_illumination("/dev/ttyNOT_THERE", fast)
     with pytest.raises(DeviceError, match="names no camera"):
@@ -94,7 +93,7 @@ def test_more_bands_than_the_board_has_leds(fast: hf.Instrument) -> None:
             DeviceError, match="can't drive the LEDs of 'paper': 9 channels: the board has 8"
         ):
             open_illumination(board.port, fast)
-        until(lambda: not board.state["armed"], "it is dark")
+        until(lambda: not board.state.armed, "it is dark")
     finally:
         board.close()
 
@@ -116,7 +115,7 @@ def test_a_run_survives_a_silent_line(
     try:
         future = acquisition.run(RunPlan(seconds=3.0))
         until(lambda: board.fed >= 2, "the watchdog is fed")
-        assert board.state["armed"]
+        assert board.state.armed
         board.silent = True
         until(lambda: acquisition.snapshot.state == "disconnected", "the silence is noticed")
         assert board.port in acquisition.snapshot.problem
@@ -128,7 +127,7 @@ def test_a_run_survives_a_silent_line(
     assert len(result.gaps) == 1
     assert result.totals.delivered > 0
     assert result.totals.delivered + result.totals.losses.undelivered == result.totals.exposed
-    assert not board.state["armed"]
+    assert not board.state.armed
 
 
 def test_silence_names_the_port(board: PtyIlluminator, fast: hf.Instrument) -> None:

@@ -25,6 +25,7 @@ from hueflight.devices.transports.serial import SerialPort, SerialTransport
 from hueflight_protocol import encode_request, serial_frame
 from hueflight_protocol.control import MAX_COBS_BYTES, write
 from hueflight_protocol.illuminator_map import TriggerSource
+from hueflight_protocol.typed_registers import illuminator as registers
 
 from .conftest import PtyBoard
 
@@ -108,33 +109,33 @@ def test_noise_between_and_within_answers(driver: Illuminator, line: PtyBoard):
     """What comes unasked is passed over; an answer that was damaged is asked for again."""
     line.write(bytes(range(1, 200)) + b"\0")
     line.write(b"\x05hello\0\0\0")
-    assert driver.board.read("scratch") == 0
+    assert driver.board.read(registers.Scratch).value == 0
     number = count()
     line.spoil = lambda frame: (
         bytes([frame[0], frame[1] ^ 0x40, *frame[2:]]) if next(number) == 0 else frame
     )
     impatient = Board(driver.board.transport, driver.board.registers, timeout_s=0.3)
-    impatient.write("scratch", value=77)
-    assert impatient.read("scratch") == 77
+    impatient.write(registers.Scratch(77))
+    assert impatient.read(registers.Scratch).value == 77
     assert next(number) > 1
 
 
 def test_damaged_requests_change_nothing(driver: Illuminator, line: PtyBoard):
-    driver.board.write("scratch", value=5)
-    address = driver.board.registers["scratch"].address
+    driver.board.write(registers.Scratch(5))
+    address = registers.Scratch.ADDRESS
     good = encode_request(write(9, address, [6]))
     transport = driver.board.transport
     assert isinstance(transport, SerialTransport)
-    before = driver.board.fields("request_errors")
+    before = driver.board.read(registers.RequestErrors)
     port = transport._line
     port.write(b"\0" + serial_frame(good[:-1] + bytes([good[-1] ^ 1])))  # bad CRC
     port.write(serial_frame(good[:-3]))  # cut
     port.write(b"\x09abc\0")  # bad COBS
     port.write(bytes([1]) * (MAX_COBS_BYTES + 50) + b"\0")  # too long
-    assert driver.board.read("scratch") == 5
-    after = driver.board.fields("request_errors")
-    assert after["crc"] - before["crc"] == 1
-    assert after["framing"] - before["framing"] == 3
+    assert driver.board.read(registers.Scratch).value == 5
+    after = driver.board.read(registers.RequestErrors)
+    assert after.crc - before.crc == 1
+    assert after.framing - before.framing == 3
 
 
 def test_silence_names_the_request(line: PtyBoard):

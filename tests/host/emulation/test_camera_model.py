@@ -23,6 +23,7 @@ from hueflight_protocol import (
     TestPattern,
     encode_frame,
 )
+from hueflight_protocol.typed_registers import camera as registers
 
 WORD, LONG = st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1)
 
@@ -125,9 +126,9 @@ def test_a_limited_run(fast: hf.Instrument) -> None:
 def test_status_and_test_packets(fast: hf.Instrument) -> None:
     clock = Clock()
     camera, _ = camera_of(fast, clock)
-    camera.board.write("status_interval", value=10)
-    camera.board.write("test_packet", words=100, pattern=1)
-    camera.board.write("test_send", value=1)
+    camera.board.write(registers.StatusInterval(10))
+    camera.board.write(registers.TestPacket(words=100, pattern=1))
+    camera.board.write(registers.TestSend(1))
     camera.start(frame_limit=30)
     clock.now_s += 1
     contents = [packet.content for packet in PacketParser().feed(camera.read(0.0))]
@@ -145,7 +146,7 @@ def test_every_frame_is_sent_or_counted_as_dropped(pulls: list[tuple[float, int]
     clock = Clock()
     bank = FrameBank.random(sensor, occupancy=0.5, frames=5)
     model = CameraModel(sensor, bank, buffer_bytes=3000, now_s=clock)
-    model.registers.set("exposure", value=625)
+    model.registers.store(registers.Exposure(625))
     model.registers.set("run", start=1)
     model._start()
     parser = PacketParser()
@@ -167,7 +168,7 @@ def test_power_loss_forgets_everything(fast: hf.Instrument) -> None:
     camera.start(capture=5)
     clock.now_s += 0.1
     model.reset()
-    assert camera.board.read("capture") == 0
+    assert camera.board.read(registers.Capture).value == 0
     assert not camera.running()
     assert camera.counters().frames_sent == 0
-    assert camera.board.read("map") == camera.board.registers.fingerprint
+    assert camera.board.read(registers.Map).value == camera.board.registers.fingerprint

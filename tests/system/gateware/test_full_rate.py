@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.devices.camera import CameraSettings
+from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import WrongDeviceError
 from hueflight_hdl.designs.camera import CameraConfig
 from hueflight_hdl.designs.camera_bench import SimulatedCamera

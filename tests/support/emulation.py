@@ -16,7 +16,7 @@ def missing_packages() -> list[str]:
     try:
         ctypes.CDLL(PRELOAD)
     except OSError:
-        found.append("libumockdev0")
+        found.append("umockdev")
     if ctypes.util.find_library("usb-1.0") is None:
         found.append("libusb-1.0-0")
     return found

@@ -12,7 +12,7 @@ from hueflight_protocol.errors import HueflightError
 
 
 class ToolError(HueflightError):
-    """A tool that is not there, or that failed."""
+    """A tool is not installed, or it failed."""
 
 
 TOOLS = {
@@ -26,13 +26,16 @@ TOOLS = {
     "yices": ("YICES", ("yices-smt2", "yices")),
     "c++": ("CXX", ("c++", "g++", "clang++")),
 }
-"""Tool: environment variable that names another one, and the names it goes by."""
+"""For each tool: the environment variable that overrides it, and the names of its command."""
 
 _PACKAGES = "pip install 'hueflight[bitstream]'"
 
 
 def find_tool(name: str) -> str | None:
-    """Return the command of a tool, or None; the environment variable has precedence."""
+    """Return the command of a tool, or None if it is not installed.
+
+    The environment variable has precedence, then the folder of the Python interpreter.
+    """
     variable, names = TOOLS[name]
     if os.environ.get(variable):
         return os.environ[variable]
@@ -50,7 +53,7 @@ def require_tool(name: str) -> str:
     Raises
     ------
     ToolError
-        If it is not there; the message says how to get it.
+        If it is not installed; the message says how to install it.
     """
     if command := find_tool(name):
         return command
@@ -60,7 +63,7 @@ def require_tool(name: str) -> str:
 
 
 def tool_environment() -> dict[str, str]:
-    """Return an environment in which the tools find each other and keep their caches."""
+    """Return environment variables with which the tools find one another and share a cache."""
     environment = dict(os.environ)
     for name, (variable, _) in TOOLS.items():
         if command := find_tool(name):
@@ -74,12 +77,13 @@ def tool_environment() -> dict[str, str]:
 def run_tool(name: str, *arguments: str, cwd: Path) -> str:
     """Run a tool in a folder and return what it printed.
 
-    Paths among the arguments must be relative to `cwd`: tools from PyPI see no other folder.
+    Paths among the arguments must be relative to `cwd`: tools that run in WebAssembly see no
+    other folder.
 
     Raises
     ------
     ToolError
-        If it is not there or fails; the message ends with its last lines.
+        If it is not installed or fails; the message ends with the last lines of its output.
     """
     command = [require_tool(name), *arguments]
     finished = subprocess.run(
@@ -93,12 +97,12 @@ def run_tool(name: str, *arguments: str, cwd: Path) -> str:
     )
     if finished.returncode:
         tail = "\n".join(finished.stdout.splitlines()[-20:])
-        raise ToolError(f"{name} ended with {finished.returncode} in {cwd}:\n{tail}")
+        raise ToolError(f"{name} failed with exit code {finished.returncode} in {cwd}:\n{tail}")
     return finished.stdout
 
 
 def cache_directory() -> Path:
-    """Return the folder where results of tools are kept: ``$HUEFLIGHT_CACHE``, or the user's."""
+    """Return the cache folder: ``$HUEFLIGHT_CACHE``, otherwise one in the user's cache folder."""
     if chosen := os.environ.get("HUEFLIGHT_CACHE"):
         return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"

@@ -1,4 +1,4 @@
-"""What every test of gateware needs: the tools, or a reason to skip."""
+"""Fixtures that skip a test where the tools that it needs are not installed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def simulator() -> None:
 
 @pytest.fixture(scope="session")
 def prover() -> None:
-    """Designs can be proved."""
+    """Properties can be verified formally."""
     need_tools("yosys", "sby", "smtbmc", "yices")
 
 

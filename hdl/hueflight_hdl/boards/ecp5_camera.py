@@ -1,4 +1,4 @@
-"""The camera on ECP5 boards: clocks, pins of the illuminator, and what every link leaves."""
+"""The camera on ECP5 boards: clocks and the pins that connect it to the illuminator."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from amaranth.build import Platform
 from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Instance, Module, Signal
 from amaranth.lib.cdc import FFSynchronizer
 
-from ..designs.camera import Camera, CameraConfig
-from ..frame.format import FrameFormat
-from ..sensor.scene import default_scene
-from ..source import source_hash
+from ..camera.camera import Camera, CameraConfig
+from ..camera.frame_format import FrameFormat
+from ..camera.sensor.scene import default_scene
+from ..common.version import source_hash
 from .ecp5_clocks import AIM
 from .ecp5_pll import PllOutput, ecp5_pll
 from .pins import drive_pin, read_pin
@@ -21,8 +21,8 @@ SYNC_HZ = 100e6
 _VCO_HZ = 600e6
 LANES = 8
 FAST_ROUTES = {
-    # A bank is never read while it is written, as a proof shows (see `frame.store`): yosys need
-    # not emulate what that would give.
+    # A bank is never read while it is written, which is formally verified (see
+    # `camera.formatter.chunk_buffer`), so yosys need not emulate the result of such a collision.
     "script_after_read": "setparam -set COLLISION_X_MASK 1'1 *.store/t:$memrd_v2",
     # no resets made of choices: those are the slowest wires
     "synth_opts": "-run begin:map_ffs",
@@ -31,7 +31,7 @@ FAST_ROUTES = {
 
 
 def camera_config(lanes: int | None = None) -> CameraConfig:
-    """Return the configuration of a board without a sensor: the paper's geometry, and a scene."""
+    """Return the configuration for a board without a sensor: the paper's geometry and a scene."""
     form = FrameFormat(lanes=LANES if lanes is None else lanes, clock_hz=round(SYNC_HZ))
     return CameraConfig(form=form, scene=default_scene(form), source=source_hash())
 
@@ -39,9 +39,9 @@ def camera_config(lanes: int | None = None) -> CameraConfig:
 class CameraClocks(Elaboratable):
     """Domain `sync` (100 MHz) from 25 MHz, or as it comes from an oscillator of 100 MHz.
 
-    It has no reset, which would be one more input of most logic, from thousands of wires' one
-    end. Its clock stands still until there is something to count on, so that every register
-    leaves its configured value on the same, clean edge.
+    It has no reset, which would cost an input of most logic cells and a net with thousands of
+    sinks. Instead its clock is stopped until the PLL has locked, so that every register leaves
+    its configured value on the same clean edge.
 
     # Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL.
     """
@@ -51,7 +51,7 @@ class CameraClocks(Elaboratable):
         self.clock_hz = clock_hz
 
     def add_to(self, m: Module, platform: Platform) -> None:
-        """Add the domains to a module, and with them what makes them."""
+        """Add the clock domains to a module, and the logic that generates them."""
         m.domains.sync = sync = ClockDomain(reset_less=True)
         platform.add_clock_constraint(sync.clk, SYNC_HZ * AIM)
         m.submodules.clocks = self
@@ -78,7 +78,7 @@ class CameraClocks(Elaboratable):
 
 
 def add_camera(m: Module, config: CameraConfig, platform: Platform) -> Camera:
-    """Add a camera on the pins that every board names alike; its link is left to connect."""
+    """Add a camera and connect the pins that all boards share; its link is left to the caller."""
     m.submodules.camera = camera = Camera(config)
     drive_pin(m, platform, "trigger", camera.trigger)
     drive_pin(m, platform, "frame_sync", camera.frame_sync)

@@ -1,4 +1,4 @@
-"""Clocks of ECP5 boards: an edge clock, half of it for the pulses, and one for control.
+"""Clocks of the illuminator on ECP5: edge clock, pulse clock and control clock.
 
 # Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL; FPGA-TN-02035, GDDRX2.
 """
@@ -30,8 +30,8 @@ _VCO_HZ = 800e6
 class Ecp5Clocks(Elaboratable):
     """Domains `edge` (400 MHz), `pulse` (200 MHz) and `sync` (50 MHz).
 
-    No domain has a reset. All clocks stand still until the PLL has locked, so that every
-    register leaves its configured value on the same, clean edge.
+    No domain has a reset. All clocks are stopped until the PLL has locked, so that every
+    register leaves its configured value on the same clean edge.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Ecp5Clocks(Elaboratable):
         self.clock_hz = clock_hz
 
     def add_to(self, m: Module, platform: Platform) -> None:
-        """Add the domains to a module, and with them what makes them."""
+        """Add the clock domains to a module, and the logic that generates them."""
         for name, frequency in (("edge", EDGE_HZ), ("pulse", PULSE_HZ), ("sync", SYNC_HZ)):
             domain = ClockDomain(name, reset_less=True)
             m.domains += domain

@@ -8,10 +8,10 @@ from amaranth.build import Platform
 from amaranth.hdl import Elaboratable, Module
 from amaranth.lib import io
 
-from ..designs.illuminator import IlluminatorConfig
-from ..gearing.ecp5 import Ecp5Gearing
-from ..pulse.config import PulseConfig
-from ..source import source_hash
+from ..common.version import source_hash
+from ..illuminator.gearing.ecp5 import Ecp5Gearing
+from ..illuminator.illuminator import IlluminatorConfig
+from ..illuminator.pulse_generator.config import PulseConfig
 from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
 from .illuminator_pins import add_from_platform
 from .pins import drive
@@ -46,12 +46,12 @@ def ecp5_config(pulse: PulseConfig | None = None) -> IlluminatorConfig:
 
 
 class Ecp5Illuminator(Elaboratable):
-    """From pin to pin.
+    """Top-level module of the illuminator on an ECP5 board.
 
     Parameters
     ----------
     armed : tuple of str and int
-        Resource of the lamp that says that LEDs may fire.
+        Resource of the indicator LED that is lit while the board is armed.
     """
 
     def __init__(self, *, armed: tuple[str, int]) -> None:

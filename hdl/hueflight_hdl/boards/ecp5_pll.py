@@ -1,4 +1,4 @@
-"""The PLL of ECP5, as much of it as clocks here need.
+"""The PLL of the ECP5.
 
 # Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL.
 """
@@ -12,7 +12,7 @@ from amaranth.hdl import Const, Instance, Signal, Value
 
 @dataclass(frozen=True)
 class PllOutput:
-    """A clock that a PLL makes."""
+    """A clock at an input or output of a PLL."""
 
     clock: Value
     hz: float

@@ -1,4 +1,4 @@
-"""ECPIX-5 with the larger ECP5, speed grade 8."""
+"""The ECPIX-5 board with an ECP5-85F, speed grade 8."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class _UsbClock(Elaboratable):
         self.reset = reset
 
     def add_to(self, m: Module, platform: Platform) -> None:
-        """Add the domain to a module, and with them what makes them."""
+        """Add the clock domain to a module, and the logic that generates it."""
         m.domains.usb = usb = ClockDomain()
         platform.add_clock_constraint(usb.clk, USB_HZ * AIM)
         m.submodules.usb_clock = self

@@ -8,10 +8,10 @@ from amaranth.lib import io
 from amaranth.lib.cdc import ResetSynchronizer
 from amaranth_boards.ice40_hx8k_b_evn import ICE40HX8KBEVNPlatform
 
-from ..designs.illuminator import IlluminatorConfig
-from ..gearing.plain import DoubleGearing
-from ..pulse.config import Limits, PulseConfig
-from ..source import source_hash
+from ..common.version import source_hash
+from ..illuminator.gearing.portable import DoubleDataRateGearing
+from ..illuminator.illuminator import IlluminatorConfig
+from ..illuminator.pulse_generator.config import Limits, PulseConfig
 from .illuminator_pins import add_from_platform
 from .pins import drive_pin
 from .target import Options, Target
@@ -33,7 +33,7 @@ _RESOURCES = [
 
 
 def hx8k_config() -> IlluminatorConfig:
-    """Return the configuration: two pulses a channel fit; limits of 100 ns."""
+    """Return the configuration: two pulses per channel, and limits of 100 ns."""
     pulse = PulseConfig(
         pulses=2, lanes=2, limits=Limits(max_on_ticks=20, duty_divisor=8, burst_ticks=20)
     )
@@ -50,7 +50,7 @@ class _Clocks(Elaboratable):
         self.clock = clock
 
     def add_to(self, m: Module, platform: Platform) -> None:
-        """Add the domains to a module, and with them what makes them."""
+        """Add the clock domains to a module, and the logic that generates them."""
         for name, frequency in (("pulse", PULSE_HZ), ("sync", PULSE_HZ / 2)):
             domain = ClockDomain(name)
             m.domains += domain
@@ -87,7 +87,7 @@ class _Top(Elaboratable):
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
         _Clocks(clock.i).add_to(m, platform)
-        illuminator = add_from_platform(m, hx8k_config(), DoubleGearing(), platform)
+        illuminator = add_from_platform(m, hx8k_config(), DoubleDataRateGearing(), platform)
         drive_pin(m, platform, "led", illuminator.armed)
         return m
 

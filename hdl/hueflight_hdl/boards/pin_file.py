@@ -1,4 +1,4 @@
-"""Pins that only the builder can know: which wire of a board goes where, as a TOML file."""
+"""TOML files with the FPGA pins of boards whose wiring depends on the builder."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from .target import TargetError
 
 @dataclass(frozen=True)
 class PinFile:
-    """Pins by name.
+    """FPGA pins by signal name.
 
     Parameters
     ----------
     pins : mapping of str to tuple of str
+        Package pins of each signal, bit 0 first.
     iostandard : str
+        I/O standard of all of them.
     clock_hz : float, optional
+        Frequency of the oscillator.
     """
 
     pins: Mapping[str, tuple[str, ...]]
@@ -28,7 +31,7 @@ class PinFile:
     clock_hz: float | None = None
 
     def resource(self, name: str, direction: str, /) -> Resource:
-        """Return the resource of that name."""
+        """Return the Amaranth resource of a signal."""
         pins = Pins(" ".join(self.pins[name]), dir=direction)
         attributes = Attrs(IOSTANDARD=self.iostandard)
         if name == "clock":
@@ -42,16 +45,22 @@ def read_pins(path: Path | None, board: str, wanted: Mapping[str, int], /) -> Pi
     Parameters
     ----------
     path : Path, optional
+        The file that the user gave.
     board : str
-        For messages.
+        Name of the board, for error messages.
     wanted : mapping of str to int
-        Names, and how many pins each; with ``clock`` also ``clock_hz`` is asked for.
+        Number of pins of each signal; with a signal ``clock``, ``clock_hz`` is required too.
+
+    Returns
+    -------
+    PinFile
+        The checked content.
 
     Raises
     ------
     TargetError
-        If there is no file, a name is missing or unknown, or a pin is named twice; the message
-        says what the file must hold.
+        If the file is missing or invalid, a signal is missing or unknown, or a pin is used
+        twice; the message says what the file must contain.
     """
     names = ", ".join(
         f"{name} ({count} pins)" if count > 1 else name for name, count in wanted.items()
@@ -59,7 +68,7 @@ def read_pins(path: Path | None, board: str, wanted: Mapping[str, int], /) -> Pi
     frequency = " clock_hz," if "clock" in wanted else ""
     if path is None:
         raise TargetError(
-            f"where the wires of {board} go is not known here and is not guessed: give --pins "
+            f"the wiring of {board} depends on the builder and is not guessed: give --pins "
             f"FILE.toml with iostandard,{frequency} and the FPGA pins of {names}"
         )
     try:
@@ -69,11 +78,15 @@ def read_pins(path: Path | None, board: str, wanted: Mapping[str, int], /) -> Pi
     iostandard = content.pop("iostandard", None)
     clock_hz = content.pop("clock_hz", None)
     if not isinstance(iostandard, str):
-        raise TargetError(f'{path}: iostandard = {iostandard!r}: for example "LVCMOS33"')
+        raise TargetError(f'{path}: iostandard = {iostandard!r}: must be a name such as "LVCMOS33"')
     if "clock" in wanted and not (isinstance(clock_hz, int | float) and clock_hz > 0):
-        raise TargetError(f"{path}: clock_hz = {clock_hz!r}: the oscillator's frequency in Hz")
+        raise TargetError(
+            f"{path}: clock_hz = {clock_hz!r}: must be the frequency of the oscillator in Hz"
+        )
     if unknown := set(content) - set(wanted):
-        raise TargetError(f"{path}: {', '.join(sorted(unknown))}: there must be {names}")
+        raise TargetError(
+            f"{path}: unknown name {', '.join(sorted(unknown))}: the names are {names}"
+        )
     pins = {}
     for name, count in wanted.items():
         value = content.get(name)

@@ -1,4 +1,4 @@
-"""Pins of a board, read and driven through plain buffers."""
+"""Reads and drives pins of a board through plain I/O buffers."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from amaranth.lib import io
 
 
 def input_of(m: Module, name: str, port: Any, /) -> Value:
-    """Return what a port reads."""
+    """Add an input buffer for a port and return its value."""
     m.submodules[f"{name}_pins"] = buffer = io.Buffer("i", port)
     return buffer.i
 
 
 def drive(m: Module, name: str, port: Any, value: ValueLike, /) -> None:
-    """Drive a port."""
+    """Add an output buffer that drives a port."""
     m.submodules[f"{name}_pins"] = buffer = io.Buffer("o", port)
     m.d.comb += buffer.o.eq(value)
 
 
 def read_pin(m: Module, platform: Platform, name: str, /) -> Value:
-    """Return what a resource reads."""
+    """Request a resource by name, add an input buffer and return its value."""
     return input_of(m, name, platform.request(name, 0, dir="-"))
 
 
 def drive_pin(m: Module, platform: Platform, name: str, value: ValueLike, /) -> None:
-    """Drive a resource."""
+    """Request a resource by name and add an output buffer that drives it."""
     drive(m, name, platform.request(name, 0, dir="-"), value)

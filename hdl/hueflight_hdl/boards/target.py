@@ -1,4 +1,4 @@
-"""A design on a board: what can be built."""
+"""A target: one design on one board, and how it is built."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hueflight_protocol.errors import HueflightError
 
 
 class TargetError(HueflightError):
-    """A design that can't be built for a board as asked."""
+    """The requested target or option does not exist."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a builder may choose.
+    """Choices of the user.
 
     Parameters
     ----------
     pins : Path, optional
-        TOML file of pins, for boards whose pins are not known here.
+        TOML file of pins, for boards whose wiring depends on the builder.
     lanes : int, optional
         Codes per clock at the camera's sensor port.
     """
@@ -39,22 +39,22 @@ class Target:
     Parameters
     ----------
     design, board : str
-        Names on the command line.
+        Names as on the command line.
     platform : callable
-        Makes the board's platform, pins of the design included.
+        Returns the Amaranth platform of the board, with the pins of the design.
     top : callable
-        Makes the design, clocks and pins included, for that platform.
+        Returns the top-level module for that platform, with clocks and pin buffers.
     clocks_mhz : mapping of str to float
-        Clock domain and the frequency that it must reach.
+        Required frequency of each clock domain in MHz.
     family : str
         ``"ecp5"`` or ``"ice40"``, built with open tools; ``"xc3s"`` or ``"xc6s"``, for which a
         project for Xilinx ISE is written.
     options : mapping of str to str
-        Overrides of the platform's build, as amaranth takes them.
+        Build options of the Amaranth platform.
     lanes : int, optional
         Codes per clock at the camera's sensor port.
     blackboxes : str
-        Verilog of modules that come with the vendor's software, without their content.
+        Verilog declarations of modules that come with the vendor's software.
     """
 
     design: str

@@ -1,4 +1,4 @@
-"""What can be built, by design and board."""
+"""The registry of targets: which design can be built for which board."""
 
 from __future__ import annotations
 
@@ -29,22 +29,40 @@ def designs() -> list[str]:
 
 
 def find_target(design: str, board: str, options: Options | None = None, /) -> Target:
-    """Return a design on a board.
+    """Return the target of a design on a board.
+
+    Parameters
+    ----------
+    design, board : str
+        Names as on the command line.
+    options : Options, optional
+        Choices of the user.
+
+    Returns
+    -------
+    Target
+        What can be built.
 
     Raises
     ------
     TargetError
-        If there is none, or an option does not apply; the message says what there is.
+        If the combination does not exist or an option does not apply to it; the message lists
+        the valid choices.
     """
     options = options or Options()
     if design not in designs():
-        raise TargetError(f"no design {design!r}: one of {', '.join(designs())}")
+        raise TargetError(f"there is no design {design!r}: choose one of {', '.join(designs())}")
     maker = _MAKERS.get((design, board))
     if maker is None:
-        raise TargetError(f"no board {board!r} for {design}: one of {', '.join(boards_of(design))}")
+        raise TargetError(
+            f"the {design} cannot be built for {board!r}: choose one of "
+            f"{', '.join(boards_of(design))}"
+        )
     if options.lanes is not None and design != "camera":
-        raise TargetError(f"--lanes {options.lanes}: only the camera has lanes at its sensor port")
+        raise TargetError(
+            f"--lanes {options.lanes}: only the camera has a sensor port with lanes; leave it out"
+        )
     if options.pins is not None and board not in _WITH_PINS:
-        raise TargetError(f"--pins {options.pins}: the pins of {board} are known")
+        raise TargetError(f"--pins {options.pins}: the pins of {board} are fixed; leave it out")
     module, function = maker.split(":")
     return getattr(import_module(f".{module}", __package__), function)(options)

@@ -1,4 +1,4 @@
-"""ULX3S with the largest ECP5: the smallest ready-made board with pins for nine channels."""
+"""The ULX3S board with an ECP5-85F."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def illuminator(options: Options) -> Target:
 
 
 class Ft601Camera(Elaboratable):
-    """The camera with a synthetic sensor; packets to an FT601 on the headers, control by serial.
+    """The camera with a synthetic sensor, an FT601 on the headers and control by serial line.
 
-    The board has no transceiver for high-speed USB of its own.
+    The board itself has no transceiver for high-speed USB.
     """
 
     def __init__(self, lanes: int | None) -> None:

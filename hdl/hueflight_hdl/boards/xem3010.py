@@ -1,7 +1,7 @@
 """Opal Kelly XEM3010, the illuminator board of the paper: a project for Xilinx ISE.
 
-Its pins are not published where we could cite them, so the builder names them (see `pin_file`);
-control goes over two of them, not through the vendor's host interface.
+Its pins are not published in a document that could be cited, so the user names them (see
+`pin_file`). Control uses a serial line on two of them, not the vendor's host interface.
 
 # Ref: Xilinx DS099, Spartan-3 FPGA Family; UG331, chapter 3, DCM.
 """
@@ -13,10 +13,10 @@ from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance
 from amaranth.lib import io
 from amaranth.vendor import XilinxPlatform
 
-from ..designs.illuminator import IlluminatorConfig
-from ..gearing.plain import DoubleGearing
-from ..pulse.config import Limits, PulseConfig
-from ..source import source_hash
+from ..common.version import source_hash
+from ..illuminator.gearing.portable import DoubleDataRateGearing
+from ..illuminator.illuminator import IlluminatorConfig
+from ..illuminator.pulse_generator.config import Limits, PulseConfig
 from .illuminator_pins import GearedPorts, add_illuminator
 from .pin_file import PinFile, read_pins
 from .pins import drive_pin, read_pin
@@ -67,7 +67,7 @@ class _Clocks(Elaboratable):
         self.clock_hz = clock_hz
 
     def add_to(self, m: Module, platform: Platform) -> None:
-        """Add the domains to a module, and with them what makes them."""
+        """Add the clock domains to a module, and the logic that generates them."""
         for name, frequency in (("pulse", self.clock_hz), ("sync", self.clock_hz / 2)):
             m.domains += (domain := ClockDomain(name, reset_less=True))
             platform.add_clock_constraint(domain.clk, frequency)
@@ -106,7 +106,7 @@ class _Top(Elaboratable):
             channels=tuple(pulses[channel] for channel in range(config.pulse.channels)),
             trigger_out=platform.request("trigger_out", 0, dir="-"),
         )
-        illuminator = add_illuminator(m, config, DoubleGearing(own_sampler=True), ports)
+        illuminator = add_illuminator(m, config, DoubleDataRateGearing(own_sampler=True), ports)
         m.d.comb += [
             illuminator.rx.eq(read_pin(m, platform, "rx")),
             illuminator.frame_sync.eq(read_pin(m, platform, "frame_sync")),

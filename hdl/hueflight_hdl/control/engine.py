@@ -1,7 +1,7 @@
-"""Answers requests: checks them whole, then does them whole.
+"""Answers requests: each is checked completely before any part of it takes effect.
 
-The rules C1 to C10 are those of ``docs/protocol.md``; `hueflight_protocol.RegisterFile` does the
-same in software.
+Rules C1 to C10 are those of ``docs/protocol.md``; `hueflight_protocol.RegisterFile` is the
+implementation in software.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SNAPSHOT_CLOCKS = 32
 
 
 class State(enum.Enum):
-    """What the engine is doing."""
+    """State of the engine."""
 
     IDLE = 0
     CHECKSUM = 1
@@ -58,16 +58,16 @@ class State(enum.Enum):
 
 
 class ControlEngine(wiring.Component):
-    """Takes requests from a link, works on registers, and answers.
+    """Takes requests from a link, accesses registers, and sends responses.
 
     Members
     -------
     requests : In, responses : Out
         See `control.messages`.
     begin : Out(1)
-        A request came in, good or not: what the hardware shows may be brought up to date.
+        A request arrived, valid or not; status registers may now be updated.
     latched : Out(1)
-        High for one clock, `SNAPSHOT_CLOCKS` later or more; registers are looked at after it.
+        High for one clock, at least `SNAPSHOT_CLOCKS` later; registers are read after it.
     answered, crc_error, framing_error : Out(1)
         High for one clock.
     address, reading, write, write_word : Out

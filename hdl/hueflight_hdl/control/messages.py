@@ -1,18 +1,18 @@
-"""Streams of bytes between a link and the control engine."""
+"""Byte streams between a link and the control engine."""
 
 from __future__ import annotations
 
 from amaranth.lib import data, stream
 
 REQUEST_BYTE = data.StructLayout({"data": 8, "end": 1, "bad": 1})
-"""A byte of a request; or, with `end`, no byte but its end, and whether the link found it bad."""
+"""A byte of a request. With `end` there is no byte: the request ends, and `bad` marks an error."""
 
 RESPONSE_BYTE = data.StructLayout({"data": 8, "last": 1})
 """A byte of a response."""
 
 
 def request_stream() -> stream.Signature:
-    """Return the stream from a link; it is always ready, for a serial line can't wait."""
+    """Return the stream from a link; it is always ready, because a serial line cannot wait."""
     return stream.Signature(REQUEST_BYTE, always_ready=True)
 
 

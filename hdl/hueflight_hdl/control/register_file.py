@@ -1,8 +1,8 @@
 """The register file, made from a register map.
 
 Everything that the host wrote, and every constant, is read back from one memory, so that only
-what the hardware sets needs a multiplexer. A second memory, read-only, says of each address
-whether there is a register, what may be done with it, and which bits it has.
+values set by the hardware need a multiplexer. A second, read-only memory states for each address
+whether there is a register, which accesses are allowed and which bits it has.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ LockOf = Callable[[Register, tuple[int, ...]], "int | None"]
 
 
 class RegisterFileError(HueflightError):
-    """A register map that the gateware can't be made from as asked."""
+    """The gateware cannot implement a register map as requested."""
 
 
 class RegisterFile(wiring.Component):
-    """Registers of a board.
+    """The registers of a board.
 
     Every register is a member of its name; elements of an array are those of an
     `ArrayLayout`. By access:

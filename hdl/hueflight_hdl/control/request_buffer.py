@@ -1,4 +1,4 @@
-"""Keeps whole requests until the engine has time for them."""
+"""Buffers complete requests until the engine is free."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ SLOTS = 2
 
 
 class RequestBuffer(wiring.Component):
-    """Two requests: one that is worked on, one that comes in.
+    """Holds two requests: one in progress and one that arrives.
 
-    What is bad, longer than a slot, or comes when both are taken, is dropped whole and reported.
+    A request that is damaged, longer than a slot, or arrives while both slots are occupied is
+    dropped completely and reported.
 
     Members
     -------

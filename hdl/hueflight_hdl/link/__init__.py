@@ -1,1 +1,1 @@
-"""Links: what carries bytes between board and host."""
+"""Links between a board and its host: serial line, USB 2, FT601, Opal Kelly's interface."""

@@ -22,10 +22,10 @@ LINE_BYTE = data.StructLayout({"data": 8, "bad": 1})
 
 
 class CobsDecoder(wiring.Component):
-    """Unstuffs frames from a line.
+    """Decodes frames from a line.
 
-    Zero bytes where no frame has begun are nothing. A frame with a damaged byte, a code that
-    points beyond its end, or more than `MAX_COBS_BYTES` bytes ends with `bad`.
+    Zero bytes between frames are ignored. A frame with a damaged byte, a code that points beyond
+    its end, or more than `MAX_COBS_BYTES` bytes ends with `bad`.
 
     Members
     -------
@@ -88,9 +88,9 @@ class CobsDecoder(wiring.Component):
 
 
 class CobsEncoder(wiring.Component):
-    """Stuffs messages and ends each with a zero byte.
+    """Encodes messages and ends each with a zero byte.
 
-    A block is gathered until its length is known, then sent; meanwhile nothing is taken in.
+    A block is collected until its length is known and then sent; no input is taken meanwhile.
 
     Members
     -------

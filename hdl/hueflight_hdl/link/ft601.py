@@ -1,4 +1,4 @@
-"""USB 3 through FTDI's FT601: packets into its queue, in bursts.
+"""USB 3 through FTDI's FT601: packets are written into its FIFO in bursts.
 
 # Ref: FTDI DS_FT600Q-FT601Q, FT600Q-FT601Q IC Datasheet: 245 synchronous FIFO mode, write timing.
 """
@@ -9,8 +9,8 @@ from amaranth.hdl import Module, Signal
 from amaranth.lib import stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
-from ..frame.format import WORD_LAYOUT
 from .packet_crossing import PacketCrossing
+from .packet_word import WORD_LAYOUT
 
 QUEUE_WORDS = 512
 BURST_WORDS = 128
@@ -20,11 +20,12 @@ LINGER_CLOCKS = 12_500
 
 
 class Ft601Bursts(wiring.Component):
-    """Words into the pins of an FT601, in its clock, the domain `ft`.
+    """Writes words to the pins of an FT601, in its clock domain `ft`.
 
-    A burst begins when `burst` words are there, or some have waited for `linger` clocks, and goes
-    on until none is left. Every output is a register; `txe_n` goes straight to their enable, since
-    a word counts as taken exactly in those clocks in which `wr_n` and `txe_n` are both low.
+    A burst begins when `burst` words are available, or some have waited for `linger` clocks, and
+    continues until none is left. Every output is a register; `txe_n` goes straight to their
+    enable, because a word counts as taken exactly in the clocks in which `wr_n` and `txe_n` are
+    both low.
 
     Members
     -------

@@ -1,7 +1,7 @@
 """Opal Kelly's host interface (FrontPanel, USB 3): an adapter, **not tested on hardware here**.
 
 The vendor's modules are not public and not part of this project: `okHost` and its endpoints are
-instances that the vendor's files fill. What lies between them and the camera is tested.
+instances that the vendor's files implement. The logic between them and the camera is tested.
 
 # Ref: Opal Kelly, FrontPanel SDK: HDL modules for USB 3.0 devices (okHost, okWireOut, okPipeIn,
 # okPipeOut, okBTPipeOut).
@@ -17,9 +17,9 @@ from amaranth.lib.fifo import AsyncFIFO
 from amaranth.lib.wiring import In, Out, connect, flipped
 
 from ..control.messages import request_stream, response_stream
-from ..frame.format import WORD_LAYOUT
 from .cobs import CobsDecoder, CobsEncoder
 from .packet_crossing import PacketCrossing
+from .packet_word import WORD_LAYOUT
 
 BLOCK_BYTES = 1024
 """Of the block-throttled pipe; the host must read blocks of this size."""
@@ -28,7 +28,7 @@ ANSWER_ENDPOINT, REQUEST_ENDPOINT, RESPONSE_ENDPOINT, PACKET_ENDPOINT = 0x20, 0x
 
 
 class OpalKellyStreams(wiring.Component):
-    """Between the camera's streams and pipes of 32-bit words, in the vendor's clock, `ok`.
+    """Converts between the camera's streams and pipes of 32-bit words, in the clock domain `ok`.
 
     Pipes keep no boundaries: control messages are COBS frames, filled up with bytes 0 to whole
     words, which COBS ignores.

@@ -1,4 +1,4 @@
-"""Packet words from the clock of the formatter to that of a link."""
+"""A queue for packet words between the clock of the formatter and that of a link."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from amaranth.lib import stream, wiring
 from amaranth.lib.fifo import AsyncFIFO
 from amaranth.lib.wiring import In, Out
 
-from ..frame.format import WORD_LAYOUT
+from .packet_word import WORD_LAYOUT
 
 
 class PacketCrossing(wiring.Component):
@@ -27,7 +27,7 @@ class PacketCrossing(wiring.Component):
     words : Out(stream)
         In `domain`.
     level : Out
-        Words that waited a clock ago, in `domain`.
+        Number of words that were waiting one clock ago, in `domain`.
     """
 
     def __init__(self, *, domain: str, depth: int) -> None:

@@ -1,7 +1,7 @@
-"""A serial line, 8 data bits, no parity, one stop bit, up to an eighth of the clock.
+"""UART with 8 data bits, no parity and one stop bit, at up to an eighth of the clock frequency.
 
-The bit clock is an accumulator, so that any rate is met to better than one part in a thousand
-on average, and each edge to one clock.
+The bit clock is a phase accumulator: any rate is met to better than one part in a thousand on
+average, and each edge to one clock.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from .cobs import LINE_BYTE
 
 _FRACTION_BITS = 20
 FEWEST_CLOCKS_PER_BIT = 8
-"""Fewer clocks a bit leave no room for the receiver's three samples and its synchroniser."""
+"""With fewer clocks per bit, the receiver's three samples and its synchroniser do not fit."""
 
 
 class UartError(HueflightError):
-    """A rate that the clock does not allow."""
+    """The clock does not allow the requested baud rate."""
 
 
 def bit_increment(clock_hz: float, baud: float) -> int:

@@ -13,8 +13,8 @@ from amaranth.lib import stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
 from ..control.messages import request_stream, response_stream
-from ..frame.format import WORD_LAYOUT
 from .packet_crossing import PacketCrossing
+from .packet_word import WORD_LAYOUT
 from .usb_streams import PACKET_BYTES, ControlBytes, PacketBytes
 
 with warnings.catch_warnings():  # LUNA still uses Amaranth's older records
@@ -24,7 +24,7 @@ with warnings.catch_warnings():  # LUNA still uses Amaranth's older records
 
 VENDOR_ID = 0x1209
 PRODUCT_ID = 0x0001
-"""The number that pid.codes keeps for tests; a product needs one of its own."""
+"""The number that pid.codes reserves for tests; a product needs its own."""
 STREAM_ENDPOINT = 1
 CONTROL_ENDPOINT = 2
 QUEUE_WORDS = 512
@@ -116,7 +116,7 @@ def high_speed_device(bus: Any, /) -> USBDevice:
 
 
 def descriptors(serial: str, /) -> DeviceDescriptorCollection:
-    """Return what the device says of itself."""
+    """Return the USB descriptors of the device."""
     collection = DeviceDescriptorCollection()
     with collection.DeviceDescriptor() as device:
         device.idVendor = VENDOR_ID

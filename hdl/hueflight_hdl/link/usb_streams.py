@@ -1,4 +1,4 @@
-"""Between the streams of the camera and those of bulk endpoints, in the clock of USB."""
+"""Converts between the streams of the camera and those of USB bulk endpoints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from amaranth.lib.fifo import AsyncFIFO
 from amaranth.lib.wiring import In, Out
 
 from ..control.messages import REQUEST_BYTE, RESPONSE_BYTE, request_stream, response_stream
-from ..frame.format import WORD_LAYOUT
+from .packet_word import WORD_LAYOUT
 
 PACKET_BYTES = 512
 """Of a bulk endpoint at high speed."""
@@ -20,10 +20,10 @@ BULK_BYTE = data.StructLayout({"data": 8, "last": 1})
 
 
 class PacketBytes(wiring.Component):
-    """Words into the bytes of one endless bulk transfer that ends where nothing follows.
+    """Converts words to the bytes of a bulk transfer that ends when no further packet follows.
 
-    Transfers that end with every frame would cost the host an interrupt for each; transfers that
-    never end would keep the last frame back. So the last byte of a packet waits for the next
+    If every frame ended a transfer, the host would get an interrupt for each; if transfers never
+    ended, the last frame would be held back. So the last byte of a packet waits for the next
     packet, for at most `linger` clocks, and ends the transfer only if none came.
 
     Members

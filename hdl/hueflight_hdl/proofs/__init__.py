@@ -1,1 +1,1 @@
-"""Formal proofs of gateware, with the open tools: yosys, SBY, yices."""
+"""Formal verification of the gateware with open tools: yosys, SBY and yices."""

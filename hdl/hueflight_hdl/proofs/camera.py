@@ -1,4 +1,4 @@
-"""What is proved of the camera."""
+"""Formally verified properties of the camera."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from .camera_counters import CountersHarness
 from .camera_formatter import (
     CollisionHarness,
     ProgressHarness,
-    SealHarness,
     StableHarness,
     SteadyWalkHarness,
+    TrailerHarness,
     WalkHarness,
 )
 from .proof import Proof
@@ -17,68 +17,69 @@ from .proof import Proof
 PROOFS = (
     Proof(
         "camera-stable",
-        "A word that waits for the link stays as it is.",
+        "A word that waits for the link does not change.",
         StableHarness,
         depth=2,
     ),
     Proof(
         "camera-counters",
-        "A capture's counters never decrease: 32-bit ones stay at their end, 64-bit ones count "
-        "for millennia.",
+        "The counters of a capture never decrease: 32-bit counters saturate, 64-bit counters do "
+        "not wrap within thousands of years.",
         CountersHarness,
         depth=2,
     ),
     Proof(
         "camera-abort",
         "An abort ends a capture within 8 clocks, and a start begins one within 8 clocks of "
-        "being allowed to, with any register contents, sensor and link.",
+        "being allowed to, with any register contents, any sensor and any link.",
         AbortHarness,
         depth=30,
         induction=False,
     ),
     Proof(
         "camera-verdict",
-        "Every readout is passed, dropped or aborted, once.",
+        "Every readout is either passed, dropped or aborted, exactly once.",
         VerdictHarness,
         depth=30,
         induction=False,
     ),
     Proof(
-        "camera-seal",
-        "Sealing passes on every word once, and the length that it fills in is the packet's.",
-        SealHarness,
+        "camera-trailer",
+        "The trailer writer passes on every word once and fills in the length of the packet.",
+        TrailerHarness,
         depth=20,
         induction=False,
     ),
     Proof(
         "camera-packets",
-        "No packet is shorter or longer than its chunks say, aborted ones included, and its "
-        "totals are right; with room for every word.",
+        "Every packet has the length that its chunks state, aborted packets too, and correct "
+        "totals, if the buffer has room for every word.",
         SteadyWalkHarness,
         depth=29,
         induction=False,
     ),
     Proof(
         "camera-packets-stalled",
-        "The same with any stalls, as far as the first packets begin to end.",
+        "Packets have the length that their chunks state with any stalls of the link, checked up "
+        "to the end of the first packets.",
         WalkHarness,
         depth=24,
         induction=False,
     ),
     Proof(
         "camera-collisions",
-        "No memory of chunks is read where it is written in the same clock.",
+        "The chunk memories are never read at the address that is written in the same clock.",
         CollisionHarness,
         depth=36,
         induction=False,
     ),
     Proof(
         "camera-progress",
-        "With a link that takes every word, all that has come has left 34 clocks later, and all "
-        "banks are free.",
+        "With a link that takes every word, everything received has been sent 34 clocks later, "
+        "and all banks are free.",
         ProgressHarness,
         depth=40,
         induction=False,
     ),
 )
-"""In the order of what they cost."""
+"""In the order of the time that they take."""

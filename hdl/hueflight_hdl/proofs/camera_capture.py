@@ -1,4 +1,4 @@
-"""Exposures and readouts, whatever registers hold, hosts ask for and sensors do."""
+"""Properties of exposures and readouts, for all registers, requests and sensors."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from amaranth.hdl import Assert, Module, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 
-from ..frame.format import FrameFormat
-from ..frame.guard import FrameGuard
-from ..sensor.exposure import EXPOSURE_LAYOUT, ExposureControl
-from ..sensor.port import sensor_beat_layout
+from ..camera.exposure.control import EXPOSURE_LAYOUT, ExposureControl
+from ..camera.exposure.frame_guard import FrameGuard
+from ..camera.frame_format import FrameFormat
+from ..camera.sensor.port import sensor_beat_layout
 
 FORM = FrameFormat(rows=2, cols=8, lanes=8, run=8, code_bits=1)
 PATIENCE = 3

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from amaranth.hdl import Assert, Module, Signal
 
-from ..frame.counters import EVENT_COUNTERS, CaptureCounters
+from ..camera.counters import EVENT_COUNTERS, CaptureCounters
 from .harness import FreeHarness
 
 LIMIT_64 = (1 << 64) - (1 << 32)
 
 
 class CountersHarness(FreeHarness):
-    """Counters with free inputs; 64-bit ones are not looked at where millennia have passed."""
+    """Counters with free inputs; 64-bit counters are not checked near their wrap-around."""
 
     def __init__(self) -> None:
         self.counters = CaptureCounters()

@@ -1,4 +1,4 @@
-"""The frame formatter for every input: codes, pauses, aborts, filters that change at any time."""
+"""Properties of the frame formatter, for all codes, pauses, aborts and changes of filters."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from amaranth.lib.wiring import In
 
 from hueflight_protocol.wire import ChunkKind, TrailerStatus, dense_bytes
 
-from ..frame.crc import PacketCrc
-from ..frame.filter import FILTER_LAYOUT, MASK_WORD
-from ..frame.format import GROUP, INFO_LAYOUT, FrameFormat
-from ..frame.formatter import MIN_BUFFER_WORDS, FrameFormatter
-from ..frame.header import HEADER_WORDS
-from ..frame.reader import PieceReader
-from ..frame.seal import SEALED_LAYOUT, PacketSealer
-from ..frame.store import WORD_BYTES
+from ..camera.formatter.chunk_buffer import WORD_BYTES
+from ..camera.formatter.formatter import MIN_BUFFER_WORDS, FrameFormatter
+from ..camera.formatter.frame_header import HEADER_WORDS
+from ..camera.formatter.packet_crc import PacketCrc
+from ..camera.formatter.piece_reader import PieceReader
+from ..camera.formatter.pixel_filter import FILTER_LAYOUT, MASK_WORD
+from ..camera.formatter.trailer import CHECKED_WORD_LAYOUT, TrailerWriter
+from ..camera.frame_format import GROUP, INFO_LAYOUT, FrameFormat
 
 SMALL = FrameFormat(rows=1, cols=16, code_bits=5, lanes=8, run=8, banks=2)
 """One beat a chunk, chunks of both kinds, of half words and of whole ones; two banks."""
@@ -43,7 +43,7 @@ class OpenFormatter(FrameFormatter):
     has_room, fetched
         Set from outside.
     valid, word
-        Words before they are sealed.
+        Words before sequence number, length and CRC are filled in.
     """
 
     def __init__(self, form: FrameFormat) -> None:
@@ -52,18 +52,18 @@ class OpenFormatter(FrameFormatter):
         codes = form.codes_layout(GROUP)
         self.fetched = Fetched(Signal(codes), Signal(codes), Signal(8 * WORD_BYTES))
         self.valid = Signal()
-        self.word = Signal(SEALED_LAYOUT)
+        self.word = Signal(CHECKED_WORD_LAYOUT)
 
     def _words(
-        self, m: Module, reader: PieceReader, store: object, info: data.View
-    ) -> PacketSealer:
+        self, m: Module, reader: PieceReader, chunk_buffer: object, info: data.View
+    ) -> TrailerWriter:
         return super()._words(m, reader, self.fetched, info)
 
-    def _buffer(self, m: Module, reader: PieceReader, sealer: PacketSealer) -> None:
+    def _buffer(self, m: Module, reader: PieceReader, trailer: TrailerWriter) -> None:
         m.d.comb += [
             reader.room.eq(self.has_room),
-            self.valid.eq(sealer.i.valid),
-            self.word.eq(sealer.i.payload),
+            self.valid.eq(trailer.i.valid),
+            self.word.eq(trailer.i.payload),
         ]
 
 
@@ -110,7 +110,7 @@ class FormatterHarness(wiring.Component):
 
 
 class StableHarness(FormatterHarness):
-    """A word that waits stays as it is."""
+    """A word that waits for the link does not change."""
 
     def __init__(self) -> None:
         super().__init__(FrameFormatter(SMALL, buffer_words=MIN_BUFFER_WORDS))
@@ -290,16 +290,16 @@ class ProgressHarness(OpenHarness):
             ]
 
 
-class SealHarness(wiring.Component):
-    """The sealer passes on every word once, and fills in the packet's length."""
+class TrailerHarness(wiring.Component):
+    """The trailer writer passes on every word once, and fills in the packet's length."""
 
     def __init__(self) -> None:
-        super().__init__({"valid": In(1), "word": In(SEALED_LAYOUT)})
+        super().__init__({"valid": In(1), "word": In(CHECKED_WORD_LAYOUT)})
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        m.submodules.sealer = sealer = PacketSealer()
-        m.d.comb += [sealer.i.valid.eq(self.valid), sealer.i.payload.eq(self.word)]
+        m.submodules.trailer = trailer = TrailerWriter()
+        m.d.comb += [trailer.i.valid.eq(self.valid), trailer.i.payload.eq(self.word)]
         latency = PacketCrc.latency + 2
         coming = Signal(latency)  # words on their way, and whether they are the last ones
         ends = Signal(latency)
@@ -308,7 +308,7 @@ class SealHarness(wiring.Component):
             ends.eq(ends << 1 | (self.valid & self.word.last)),
         ]
         halves = Signal(32)  # of words in the packet so far
-        out = sealer.o
+        out = trailer.o
         m.d.comb += Assert(out.valid == coming[-1])
         with m.If(out.valid):
             m.d.comb += Assert(out.payload.last == ends[-1])

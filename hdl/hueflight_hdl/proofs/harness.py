@@ -1,4 +1,4 @@
-"""A component to be proved, with nothing known of its inputs."""
+"""A harness for the verification of one component with free inputs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from amaranth.lib.wiring import In
 
 
 class FreeHarness(wiring.Component):
-    """A component whose inputs do anything; all of it is in one clock domain.
+    """Gives a component free inputs; everything is in one clock domain.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""What is proved of the illuminator."""
+"""Formally verified properties of the illuminator."""
 
 from __future__ import annotations
 
 from functools import partial
 
-from ..pulse.config import Limits
+from ..illuminator.pulse_generator.config import Limits
 from .illuminator_banks import OtherBankHarness, TrainHarness
 from .illuminator_limits import DutyHarness, OnTimeHarness
 from .illuminator_requests import LONGEST, AnswerHarness
@@ -17,21 +17,21 @@ PROOFS = (
     Proof(
         "illuminator-dark",
         "No LED is on unless the board is armed, with any schedules, triggers and programs, and "
-        "however they change.",
+        "however these change.",
         DarkHarness,
         depth=4,
     ),
     Proof(
         "illuminator-watchdog",
         "The board is armed only if the last word written was the key, and no longer than the "
-        "watchdog's time after the last key or feed.",
+        "watchdog time after the last key or feed.",
         WatchdogHarness,
         depth=2,
     ),
     *(
         Proof(
             f"illuminator-on-time-{lanes}",
-            f"No LED is on for longer than its limit, whatever is demanded of it; {lanes} lanes.",
+            f"No LED is on for longer than its limit, whatever the demand; {lanes} lanes.",
             partial(OnTimeHarness, Limits(), lanes=lanes),
             depth={1: 140, 2: 76, 4: 44}[lanes],
         )
@@ -40,8 +40,8 @@ PROOFS = (
     *(
         Proof(
             f"illuminator-duty-{lanes}",
-            "In any stretch of L ticks no LED is on for more than L / divisor + burst, whatever "
-            f"is demanded of it; {lanes} lanes.",
+            "In any window of L ticks no LED is on for more than L / divisor + burst ticks, "
+            f"whatever the demand; {lanes} lanes.",
             partial(DutyHarness, Limits(), lanes=lanes),
             depth=8,
         )
@@ -49,25 +49,24 @@ PROOFS = (
     ),
     Proof(
         "illuminator-bank",
-        "Bank, phase, mask and marker of a train change only when a new one begins, and without "
-        "a restart that is after the period.",
+        "Bank, phase, mask and marker change only when a new train begins; without a restart, "
+        "that is after the period.",
         TrainHarness,
         depth=20,
     ),
     Proof(
         "illuminator-other-bank",
-        "What the bank that is not in use holds, and how it changes, makes no difference to any "
-        "tick.",
+        "The content of the bank that is not in use, and changes of it, do not affect any tick.",
         OtherBankHarness,
         depth=20,
         induction=False,
     ),
     Proof(
         "illuminator-answers",
-        f"Every request that is accepted is answered once, or counted as damaged, within {LONGEST} "
-        "clocks, waits of the link not counted.",
+        f"Every accepted request is answered once, or counted as damaged, within {LONGEST} clocks, "
+        "not counting the clocks in which the link waits.",
         AnswerHarness,
         depth=4,
     ),
 )
-"""Of the default limits and gearings; see `docs/illuminator.md` for what each means."""
+"""For the default limits and gearings; ``docs/illuminator.md`` explains each."""

@@ -1,4 +1,4 @@
-"""A train is of one bank, whole, and what the other bank holds makes no difference to it."""
+"""A train uses one bank throughout; the content of the other bank does not affect it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from amaranth.hdl import Assert, Assume, DomainRenamer, Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.wiring import In
 
-from ..pulse.config import MIN_SPACING, PERIOD_BITS, Limits, PulseConfig
-from ..pulse.slot import PulseSlot
-from ..pulse.train import Train
+from ..illuminator.pulse_generator.config import MIN_SPACING, PERIOD_BITS, Limits, PulseConfig
+from ..illuminator.pulse_generator.slot import PulseSlot
+from ..illuminator.pulse_generator.train import Train
 from .harness import FreeHarness
 
 

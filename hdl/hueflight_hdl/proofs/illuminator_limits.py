@@ -1,16 +1,16 @@
-"""Limits of on-time and duty hold for whatever the generator demands of an LED."""
+"""The limits of on-time and duty hold for every demand of the generator."""
 
 from __future__ import annotations
 
 from amaranth.hdl import Assert, Module, Mux, Signal
 
-from ..pulse.config import Limits
-from ..pulse.limiter import OutputLimiter
+from ..illuminator.pulse_generator.config import Limits
+from ..illuminator.pulse_generator.limiter import OutputLimiter
 from .harness import FreeHarness
 
 
 class LimiterHarness(FreeHarness):
-    """The last gate before an LED, with any demand in every tick: more than registers can ask.
+    """The output limiter with a free demand in every tick, more than registers can cause.
 
     Parameters
     ----------

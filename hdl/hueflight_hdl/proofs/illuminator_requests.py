@@ -1,4 +1,4 @@
-"""Every request that is accepted is answered, and soon."""
+"""Every accepted request is answered within a bounded time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LEDs are dark unless the board is armed, and it is armed only while a host says so."""
+"""LEDs are off unless the board is armed, and it is armed only while the host confirms it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from amaranth.lib.wiring import In
 
 from hueflight_protocol.illuminator_map import ARM_KEY
 
-from ..pulse.config import PulseConfig
-from ..pulse.generator import PulseGenerator
-from ..safety import Safety
+from ..illuminator.arming import Arming
+from ..illuminator.pulse_generator.config import PulseConfig
+from ..illuminator.pulse_generator.generator import PulseGenerator
 from .harness import FreeHarness
 
 CLOCKS_PER_MS = 3
@@ -44,7 +44,7 @@ class WatchdogHarness(wiring.Component):
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        m.submodules.safety = safety = Safety(CLOCKS_PER_MS)
+        m.submodules.safety = safety = Arming(CLOCKS_PER_MS)
         for name in self.signature.members:
             m.d.comb += getattr(safety, name).eq(getattr(self, name))
         keyed = Signal()  # the last word written was the key

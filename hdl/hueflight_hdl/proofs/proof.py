@@ -1,4 +1,4 @@
-"""A statement about gateware, and the tools that prove it for every input there can be."""
+"""A property of the gateware, and its formal verification with yosys, SBY and yices."""
 
 from __future__ import annotations
 
@@ -35,26 +35,27 @@ design.il
 
 
 class ProofError(HueflightError):
-    """A statement that does not hold, or that could not be proved."""
+    """A property does not hold, or its verification did not finish."""
 
 
 @dataclass(frozen=True)
 class Proof:
-    """A statement to be proved.
+    """A property to be verified formally.
 
     Parameters
     ----------
     name : str
-        What it is called by.
+        Name on the command line.
     statement : str
-        What holds, in words.
+        The property in words.
     harness : callable
-        Makes the component with the assertions. Its inputs are free: they do whatever its
-        assumptions allow, in every clock. It begins as it is after configuration.
+        Returns the component with the assertions. Its inputs are free: in every clock they take
+        any value that its assumptions allow. It starts in the state after configuration.
     depth : int
-        Clocks of the induction, or clocks that are looked at from configuration on.
+        Length of the induction in clocks, or number of clocks checked after configuration.
     induction : bool
-        Whether it is proved for all time by k-induction, or for the first `depth` clocks.
+        True if the property is verified for all time by k-induction, False if it is checked for
+        the first `depth` clocks only (bounded model checking).
     """
 
     name: str
@@ -65,21 +66,26 @@ class Proof:
 
     @property
     def kind(self) -> str:
-        """How it is proved, in words."""
+        """How the property is verified, in words."""
         if self.induction:
             return f"for all time, by {self.depth}-induction"
         return f"for the first {self.depth} clocks"
 
 
 def prove(proof: Proof, /) -> None:
-    """Prove a statement.
+    """Verify a property.
+
+    Parameters
+    ----------
+    proof : Proof
+        The property.
 
     Raises
     ------
     ProofError
-        If it does not hold; the message ends with what failed and in which clock.
+        If it does not hold; the message ends with the assertion that failed and its clock.
     ToolError
-        If a tool is not there.
+        If a tool is not installed.
     """
     text = proof_source(proof.harness())
     folder = cache_directory() / "proofs"
@@ -94,11 +100,11 @@ def prove(proof: Proof, /) -> None:
         except ToolError as error:
             if not (work / "job").is_dir():
                 raise
-            raise ProofError(f"not proved: {proof.statement} ({proof.kind})\n{error}") from error
+            raise ProofError(f"not verified: {proof.statement} ({proof.kind})\n{error}") from error
 
 
 def proof_source(harness: wiring.Component, /) -> str:
-    """Return a harness as RTLIL; its inputs are ports, and it starts from its reset values."""
+    """Return a harness as RTLIL, with its inputs as ports and reset values as initial state."""
     top = Module()
     top.domains += (domain := ClockDomain("sync", reset_less=True))
     top.submodules.harness = harness

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from amaranth.sim import Simulator
 
-from hueflight_hdl.frame.filter import MASK_WORD
-from hueflight_hdl.frame.format import FrameFormat
-from hueflight_hdl.frame.formatter import FrameFormatter
-from hueflight_hdl.frame.reference import SensorFrame, frame_beats
+from hueflight_hdl.camera.formatter.formatter import FrameFormatter
+from hueflight_hdl.camera.formatter.pixel_filter import MASK_WORD
+from hueflight_hdl.camera.formatter.reference import SensorFrame, frame_beats
+from hueflight_hdl.camera.frame_format import FrameFormat
 
 Message = Sequence[tuple[int, int, int]]
 """Words of 64 bits, each with its marks: check, last."""

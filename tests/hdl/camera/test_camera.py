@@ -5,12 +5,12 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from hueflight_hdl.designs.camera import CameraConfig
-from hueflight_hdl.designs.camera_bench import SimulatedCamera, compile_camera
-from hueflight_hdl.frame.format import FrameFormat
-from hueflight_hdl.frame.reference import filter_codes
-from hueflight_hdl.sensor.model import synthetic_frames
-from hueflight_hdl.simulation.camera_run import camera_packets
+from hueflight_hdl.camera.camera import CameraConfig
+from hueflight_hdl.camera.formatter.reference import filter_codes
+from hueflight_hdl.camera.frame_format import FrameFormat
+from hueflight_hdl.camera.sensor.reference import synthetic_frames
+from hueflight_hdl.testbench.camera import SimulatedCamera, compile_camera
+from hueflight_hdl.testbench.camera_capture import camera_packets
 from hueflight_protocol import (
     Event,
     EventCode,

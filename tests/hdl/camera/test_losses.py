@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hueflight_hdl.designs.camera import CameraConfig
-from hueflight_hdl.designs.camera_bench import SimulatedCamera
-from hueflight_hdl.frame.format import FrameFormat
-from hueflight_hdl.simulation.camera_rate import random_codes
+from hueflight_hdl.camera.camera import CameraConfig
+from hueflight_hdl.camera.frame_format import FrameFormat
+from hueflight_hdl.testbench.camera import SimulatedCamera
+from hueflight_hdl.testbench.formatter_rate import random_codes
 from hueflight_protocol import Event, EventCode, Frame, PacketParser
 
 CONFIG = CameraConfig(form=FrameFormat(), sensor=True)

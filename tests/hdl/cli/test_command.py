@@ -5,7 +5,7 @@ from amaranth.hdl import Assert, Module
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 
-from hueflight_hdl.command import main
+from hueflight_hdl.cli import main
 from hueflight_hdl.proofs.proof import Proof
 from hueflight_protocol import Frame, PacketParser
 
@@ -44,14 +44,14 @@ def test_help_names_every_command(capsys):
     ],
 )
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_what_can_t_be_done_is_said_in_a_sentence(capsys, words, said):
+def test_impossible_requests_are_refused_with_a_message(capsys, words, said):
     code, message = fails(capsys, *words)
     assert code == 1
     assert message.startswith("error: ")
     assert said in message
 
 
-def test_projects_of_the_paper_s_boards(builder, tmp_path, capsys):
+def test_projects_for_the_boards_of_the_paper(builder, tmp_path, capsys):
     pins = tmp_path / "pins.toml"
     letters = iter("ABCDEFGHJKLMNPRTUV")
     single = [f'{name} = "{next(letters)}1"' for name in _SINGLE]
@@ -88,7 +88,7 @@ def test_projects_of_the_paper_s_boards(builder, tmp_path, capsys):
 _SINGLE = ("clock", "rx", "tx", "trigger", "trigger_out", "frame_sync", "missed", "armed")
 
 
-def test_proofs_are_listed_and_one_is_proved(prover, capsys):
+def test_properties_are_listed_and_one_is_verified(prover, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["prove", "illuminator", "--list"])
     assert not ended.value.code
@@ -97,10 +97,10 @@ def test_proofs_are_listed_and_one_is_proved(prover, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["prove", "illuminator", "--only", "illuminator-watchdog"])
     assert not ended.value.code
-    assert capsys.readouterr().out.startswith("proved: The board is armed only if")
+    assert capsys.readouterr().out.startswith("verified: The board is armed only if")
 
 
-def test_what_does_not_hold_is_said_and_ends_with_2(prover, capsys, monkeypatch):
+def test_a_false_property_is_reported_with_exit_code_2(prover, capsys, monkeypatch):
     class Never(wiring.Component):
         def __init__(self):
             super().__init__({"i": In(1)})
@@ -114,7 +114,7 @@ def test_what_does_not_hold_is_said_and_ends_with_2(prover, capsys, monkeypatch)
     monkeypatch.setattr("hueflight_hdl.proofs.illuminator.PROOFS", (false,))
     code, said = fails(capsys, "prove", "illuminator")
     assert code == 2
-    assert "1 of 1 statements do not hold" in said
+    assert "1 of 1 properties do not hold" in said
 
 
 @pytest.mark.slow

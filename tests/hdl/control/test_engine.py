@@ -10,10 +10,10 @@ from amaranth.hdl import Module
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
-from hueflight_hdl.control.common import add_control
 from hueflight_hdl.control.messages import request_stream, response_stream
 from hueflight_hdl.control.register_file import RegisterFile
-from hueflight_hdl.simulation.cxxrtl import Simulation, simulate
+from hueflight_hdl.control.standard_block import add_control
+from hueflight_hdl.testbench.cxxrtl import Simulation, simulate
 from hueflight_protocol import RegisterFile as SoftwareRegisterFile
 from hueflight_protocol import decode_request, decode_response, encode_request, illuminator_map
 from hueflight_protocol.control import Request, Result, identify, read, status, write

@@ -6,10 +6,10 @@ import pytest
 
 from hueflight.devices.illuminator import Illuminator
 from hueflight.devices.transports.serial import SerialTransport
-from hueflight_hdl.designs.illuminator import IlluminatorConfig
-from hueflight_hdl.gearing.ecp5 import Ecp5Gearing
-from hueflight_hdl.pulse.config import PulseConfig
-from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
+from hueflight_hdl.illuminator.gearing.ecp5 import Ecp5Gearing
+from hueflight_hdl.illuminator.illuminator import IlluminatorConfig
+from hueflight_hdl.illuminator.pulse_generator.config import PulseConfig
+from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
 
 # a fast line, so that little is simulated for each byte; a clock so slow that milliseconds pass
 SMALL = IlluminatorConfig(
@@ -19,12 +19,12 @@ WAIT_S = 60.0  # of the computer's time, which says nothing of the board's
 
 
 @pytest.fixture(scope="module")
-def bench(simulator: None) -> IlluminatorBench:
-    return IlluminatorBench(SMALL, Ecp5Gearing())
+def bench(simulator: None) -> IlluminatorTestbench:
+    return IlluminatorTestbench(SMALL, Ecp5Gearing())
 
 
 @pytest.fixture
-def driver(bench: IlluminatorBench) -> Illuminator:
+def driver(bench: IlluminatorTestbench) -> Illuminator:
     bench.trigger = None
     bench.frame_sync = None
     driver = Illuminator(SerialTransport(bench), timeout_s=WAIT_S)

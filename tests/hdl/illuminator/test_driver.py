@@ -10,8 +10,8 @@ from hueflight.devices.illuminator import Illuminator
 from hueflight.devices.pulse_schedule import ChannelPulse, PulseSchedule, ScheduleError
 from hueflight.devices.sequencer_program import ProgramStep, alternate, each_alone
 from hueflight.devices.transports.serial import SerialTransport
-from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
-from hueflight_hdl.simulation.ticks import ticks_to_words
+from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
+from hueflight_hdl.testbench.ticks import ticks_to_words
 from hueflight_protocol.illuminator_map import ARM_KEY, Advance, TriggerSource
 from hueflight_protocol.typed_registers import illuminator as registers
 
@@ -35,7 +35,7 @@ def test_identity_and_capacity(driver: Illuminator):
     assert {limit.on_ticks for limit in capacity.limits} == {80}
 
 
-def test_leds_are_dark_until_armed(driver: Illuminator, bench: IlluminatorBench):
+def test_leds_are_dark_until_armed(driver: Illuminator, bench: IlluminatorTestbench):
     driver.play(THREE)
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
     bench.record()
@@ -54,7 +54,7 @@ def test_leds_are_dark_until_armed(driver: Illuminator, bench: IlluminatorBench)
     assert not bench.levels().any()
 
 
-def test_the_schedule_is_what_the_pins_do(driver: Illuminator, bench: IlluminatorBench):
+def test_the_schedule_is_what_the_pins_do(driver: Illuminator, bench: IlluminatorTestbench):
     """An external trigger at a known tick; edges at its tick, the delay and the latency."""
     made = driver.play(THREE)
     assert made.delay_error_ns == made.width_error_ns == 0
@@ -85,7 +85,9 @@ def test_the_schedule_is_what_the_pins_do(driver: Illuminator, bench: Illuminato
     assert (counters.seen, counters.served, counters.ignored) == (50, 50, 0)
 
 
-def test_ignored_triggers_and_restarts_are_counted(driver: Illuminator, bench: IlluminatorBench):
+def test_ignored_triggers_and_restarts_are_counted(
+    driver: Illuminator, bench: IlluminatorTestbench
+):
     driver.play(THREE)
     driver.set_trigger(TriggerSource.EXTERNAL)
     # a trigger every 20 clocks; a train lasts 63
@@ -109,7 +111,7 @@ def test_ignored_triggers_and_restarts_are_counted(driver: Illuminator, bench: I
     assert not driver.faults().trigger_ignored
 
 
-def test_a_bank_in_use_can_not_be_written(driver: Illuminator, bench: IlluminatorBench):
+def test_a_bank_in_use_can_not_be_written(driver: Illuminator, bench: IlluminatorTestbench):
     """Not while armed; the other one can, and a swap then frees the first."""
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
     driver.load(THREE, bank=0)
@@ -137,7 +139,7 @@ def test_a_bank_in_use_can_not_be_written(driver: Illuminator, bench: Illuminato
     driver.load(THREE, bank=1)
 
 
-def test_the_watchdog_disarms(driver: Illuminator, bench: IlluminatorBench):
+def test_the_watchdog_disarms(driver: Illuminator, bench: IlluminatorTestbench):
     """Feeding keeps it armed; silence does not, to the millisecond."""
     driver.play(THREE)
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
@@ -177,7 +179,7 @@ def test_anything_but_the_key_disarms(driver: Illuminator):
         assert not driver.state().armed
 
 
-def test_programs(driver: Illuminator, bench: IlluminatorBench):
+def test_programs(driver: Illuminator, bench: IlluminatorTestbench):
     """Each LED alone, by trains; then both schedules in turn by frame syncs of the camera."""
     driver.disarm()
     driver.load(THREE, bank=0)
@@ -224,7 +226,7 @@ def test_steps_that_can_not_be(driver: Illuminator):
         driver.run([ProgramStep(1), ProgramStep(1, marker=256)])
 
 
-def test_a_software_trigger_starts_one_train(driver: Illuminator, bench: IlluminatorBench):
+def test_a_software_trigger_starts_one_train(driver: Illuminator, bench: IlluminatorTestbench):
     driver.play(THREE)
     driver.set_trigger(TriggerSource.SOFTWARE)
     driver.arm(watchdog_ms=1000)
@@ -237,7 +239,7 @@ def test_a_software_trigger_starts_one_train(driver: Illuminator, bench: Illumin
     assert [len(edges(level)[0]) for level in bench.levels()] == [3, 3, 3]
 
 
-def test_the_trigger_out_follows(driver: Illuminator, bench: IlluminatorBench):
+def test_the_trigger_out_follows(driver: Illuminator, bench: IlluminatorTestbench):
     """In its place relative to the LEDs, and not gated by arming."""
     driver.play(THREE)
     driver.set_trigger_out(10 * TICK_NS, 200 * TICK_NS)
@@ -259,7 +261,7 @@ def test_the_trigger_out_follows(driver: Illuminator, bench: IlluminatorBench):
     assert rises[1] - 10 in first.tolist()
 
 
-def test_what_the_limiter_cuts_is_said(driver: Illuminator, bench: IlluminatorBench):
+def test_what_the_limiter_cuts_is_said(driver: Illuminator, bench: IlluminatorTestbench):
     """Registers written behind the driver's back, which would have refused."""
     greedy = PulseSchedule(((ChannelPulse(0, 90 * TICK_NS),),), 3200)
     with pytest.raises(ScheduleError, match="channel 0: on for 1125 ns, the LED bears 1000 ns"):
@@ -300,7 +302,7 @@ def test_what_the_limiter_cuts_is_said(driver: Illuminator, bench: IlluminatorBe
     assert not driver.faults().duty_limited
 
 
-def test_noise_on_the_line_changes_nothing(driver: Illuminator, bench: IlluminatorBench):
+def test_noise_on_the_line_changes_nothing(driver: Illuminator, bench: IlluminatorTestbench):
     """Random levels, then the driver goes on as if nothing had been."""
     driver.play(THREE)
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
@@ -325,7 +327,7 @@ def test_noise_on_the_line_changes_nothing(driver: Illuminator, bench: Illuminat
     assert driver.state().armed
 
 
-def test_another_board_is_told_apart(bench: IlluminatorBench):
+def test_another_board_is_told_apart(bench: IlluminatorTestbench):
     class Stranger:
         name = "somewhere"
 

@@ -9,8 +9,8 @@ import pytest
 
 from hueflight.devices.illuminator import Illuminator
 from hueflight.devices.pulse_schedule import PulseSchedule
-from hueflight_hdl.simulation.illuminator_bench import IlluminatorBench
-from hueflight_hdl.simulation.serial_line import line_levels
+from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
+from hueflight_hdl.testbench.serial_line import line_levels
 from hueflight_protocol import (
     Access,
     CobsDecoder,
@@ -55,7 +55,7 @@ def kept(driver: Illuminator) -> dict[tuple[str, tuple[int, ...]], tuple[int, ..
     }
 
 
-def exchange(bench: IlluminatorBench, line: bytes, *, rest: int = 150) -> list[Response]:
+def exchange(bench: IlluminatorTestbench, line: bytes, *, rest: int = 150) -> list[Response]:
     """Put bytes on the line, without a pause, and return what is answered."""
     bench.write(line)
     decoder = CobsDecoder(limit=MAX_COBS_BYTES)
@@ -120,7 +120,7 @@ DAMAGES: list[Damage] = [
 
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__)
 def test_damage_is_counted_and_changes_nothing(
-    armed: Illuminator, bench: IlluminatorBench, damage: Damage
+    armed: Illuminator, bench: IlluminatorTestbench, damage: Damage
 ):
     """Six of each, each followed at once by a good request, which is done."""
     rng = np.random.default_rng(11)
@@ -139,7 +139,7 @@ def test_damage_is_counted_and_changes_nothing(
     assert armed.state().armed
 
 
-def test_a_byte_without_stop_bit(armed: Illuminator, bench: IlluminatorBench):
+def test_a_byte_without_stop_bit(armed: Illuminator, bench: IlluminatorTestbench):
     """Any byte of a frame; the frame is bad, once the delimiter comes that it may have hidden."""
     errors = armed.board.read(registers.RequestErrors).framing
     frame = serial_frame(harm(1))
@@ -153,7 +153,7 @@ def test_a_byte_without_stop_bit(armed: Illuminator, bench: IlluminatorBench):
     assert armed.board.read(registers.RequestErrors).framing - errors == len(frame) - 1
 
 
-def test_a_break_on_the_line(armed: Illuminator, bench: IlluminatorBench):
+def test_a_break_on_the_line(armed: Illuminator, bench: IlluminatorTestbench):
     """Held low for a hundred bytes' time, as when a cable is pulled."""
     bench.write_levels(np.zeros(100 * BYTE_CLOCKS, np.uint8))
     bench.write_levels(np.ones(20, np.uint8))
@@ -162,7 +162,7 @@ def test_a_break_on_the_line(armed: Illuminator, bench: IlluminatorBench):
     assert armed.state().armed
 
 
-def test_requests_back_to_back_at_full_rate(armed: Illuminator, bench: IlluminatorBench):
+def test_requests_back_to_back_at_full_rate(armed: Illuminator, bench: IlluminatorTestbench):
     """Writes without a bit between them, at the fastest rate the clock allows: all are done."""
     errors = armed.board.read(registers.RequestErrors)
     line = b"".join(
@@ -175,7 +175,7 @@ def test_requests_back_to_back_at_full_rate(armed: Illuminator, bench: Illuminat
     assert armed.board.read(registers.RequestErrors) == errors
 
 
-def test_more_requests_than_the_line_can_answer(armed: Illuminator, bench: IlluminatorBench):
+def test_more_requests_than_the_line_can_answer(armed: Illuminator, bench: IlluminatorTestbench):
     """Long answers to short requests: what does not fit is dropped whole and counted."""
     errors = armed.board.read(registers.RequestErrors).framing
     address = MAP["step_setup"].address
@@ -194,7 +194,7 @@ def test_more_requests_than_the_line_can_answer(armed: Illuminator, bench: Illum
 
 
 @pytest.mark.slow
-def test_random_bytes_in_bulk(armed: Illuminator, bench: IlluminatorBench):
+def test_random_bytes_in_bulk(armed: Illuminator, bench: IlluminatorTestbench):
     """5000 random bytes, in frames of every length; chances of a good CRC are 1 in 10^7."""
     rng = np.random.default_rng(12)
     before, errors = kept(armed), armed.board.read(registers.RequestErrors)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hueflight_hdl.link.cobs import CobsDecoder, CobsEncoder
-from hueflight_hdl.simulation.cxxrtl import Simulation, simulate
+from hueflight_hdl.testbench.cxxrtl import Simulation, simulate
 from hueflight_protocol import CobsDecoder as SoftwareDecoder
 from hueflight_protocol import cobs_decode, cobs_encode
 from hueflight_protocol.control import MAX_COBS_BYTES, MAX_MESSAGE_BYTES

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hueflight_hdl.link.uart import UartError, UartReceiver, UartTransmitter, bit_increment
-from hueflight_hdl.simulation.cxxrtl import simulate
-from hueflight_hdl.simulation.serial_line import LineReader, line_levels
+from hueflight_hdl.testbench.cxxrtl import simulate
+from hueflight_hdl.testbench.serial_line import LineReader, line_levels
 
 # clock and rate: the boards' own, the fewest clocks a bit, and many
 RATES = [(100e6, 3e6), (50e6, 3e6), (50.25e6, 3e6), (80e6, 10e6), (100e6, 115_200)]

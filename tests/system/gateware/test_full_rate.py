@@ -8,10 +8,10 @@ import pytest
 import hueflight as hf
 from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import WrongDeviceError
-from hueflight_hdl.designs.camera import CameraConfig
-from hueflight_hdl.designs.camera_bench import SimulatedCamera
-from hueflight_hdl.frame.format import FrameFormat
-from hueflight_hdl.sensor.model import synthetic_frames
+from hueflight_hdl.camera.camera import CameraConfig
+from hueflight_hdl.camera.frame_format import FrameFormat
+from hueflight_hdl.camera.sensor.reference import synthetic_frames
+from hueflight_hdl.testbench.camera import SimulatedCamera
 from hueflight_protocol import Frame, PacketParser
 
 FORM = FrameFormat()

@@ -7,9 +7,9 @@ import xarray as xr
 import hueflight as hf
 from hueflight import simulator
 from hueflight.ingest import HistogramStream, accumulate_codes
-from hueflight_hdl.designs.camera import CameraConfig
-from hueflight_hdl.designs.camera_bench import SimulatedCamera
-from hueflight_hdl.frame.format import FrameFormat
+from hueflight_hdl.camera.camera import CameraConfig
+from hueflight_hdl.camera.frame_format import FrameFormat
+from hueflight_hdl.testbench.camera import SimulatedCamera
 
 FRAMES = 600
 

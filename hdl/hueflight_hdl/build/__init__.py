@@ -1,0 +1,1 @@
+"""Bitstreams: synthesis, placement and routing, timing reports and vendor projects."""

@@ -1,0 +1,167 @@
+"""Builds bitstreams: synthesis, then placement and routing until the timing margin is met."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from ..boards.target import Target
+from ..toolchain import TOOLS, require_tool, run_tool
+from .clock_constraints import rename_clocks
+from .report import (
+    REQUIRED_MARGIN,
+    BuildError,
+    BuildReport,
+    ClockResult,
+    digest,
+    read_cells,
+    read_clocks,
+)
+
+NAME = "top"
+SEEDS = range(1, 9)
+"""Seeds of placement and routing, tried in this order."""
+_PACKERS = {
+    "ecp5": ("nextpnr-ecp5", "ecppack", ".config", ".bit"),
+    "ice40": ("nextpnr-ice40", "icepack", ".asc", ".bin"),
+}
+"""Router, packer, and the file extensions of what they write."""
+_ECP5_ROUTE = " --placer-heap-timingweight 30 --tmg-ripup"
+"""These designs fill little of the device, and the default weight of 10 spreads them over it."""
+
+Progress = Callable[[str], None]
+
+
+def build(
+    target: Target,
+    folder: Path,
+    /,
+    *,
+    seeds: Sequence[int] = SEEDS,
+    margin: float = REQUIRED_MARGIN,
+    progress: Progress = lambda line: None,
+) -> BuildReport:
+    """Build a target's bitstream.
+
+    Parameters
+    ----------
+    target : Target
+        Design and board.
+    folder : Path
+        Output folder; it is created if needed.
+    seeds : sequence of int
+        Seeds of placement and routing. The first one that meets the margin for every clock is
+        taken, otherwise the best one. The same sources, tools and seeds give the same bits.
+    margin : float
+        Required timing margin, as a fraction of each clock's frequency.
+    progress : callable
+        Called with a line of text when a step begins.
+
+    Returns
+    -------
+    BuildReport
+        Cells, clocks and whether the margin was met; also written as ``report.json``.
+
+    Raises
+    ------
+    ToolError
+        If a tool is not installed or fails.
+    BuildError
+        If the board cannot be built with open tools, or `seeds` is empty.
+    """
+    if target.family not in _PACKERS:
+        raise BuildError(
+            f"{target.board} needs Xilinx ISE: write a project for it with "
+            f"`hueflight-hdl verilog {target.design} --board {target.board}`"
+        )
+    if not seeds:
+        raise BuildError("seeds is empty: give at least one seed for placement and routing")
+    router, packer, routed, suffix = _PACKERS[target.family]
+    for tool in ("yosys", router, packer):
+        require_tool(tool)
+    synthesise, route, pack = prepare(target, folder)
+    progress(f"synthesis of {target.design} for {target.board}")
+    run_tool(*synthesise, cwd=folder)
+    rename_clocks(folder, NAME, target.family)
+    tried: dict[int, dict[str, ClockResult]] = {}
+    best = seeds[0]
+    for seed in seeds:
+        progress(f"placement and routing, seed {seed}")
+        run_tool(*route, "--seed", str(seed), cwd=folder)
+        tried[seed] = read_clocks(folder / "nextpnr.json", target.clocks_mhz)
+        progress(f"seed {seed}: " + describe_clocks(tried[seed]))
+        if seed == seeds[0] or smallest_margin(tried[seed]) > smallest_margin(tried[best]):
+            best = seed
+            for name in (f"{NAME}{routed}", "nextpnr.json"):
+                shutil.copyfile(folder / name, folder / f"best-{name}")
+        if smallest_margin(tried[seed]) >= margin:
+            break
+    for name in (f"{NAME}{routed}", "nextpnr.json"):
+        (folder / f"best-{name}").replace(folder / name)
+    progress("packing")
+    run_tool(*pack, cwd=folder)
+    bitstream = folder / f"{NAME}{suffix}"
+    report = BuildReport(
+        design=target.design,
+        board=target.board,
+        lanes=target.lanes,
+        bitstream=bitstream,
+        sha256=digest(bitstream),
+        used=read_cells(folder / "nextpnr.json", target.family),
+        clocks=tried[best],
+        seed=best,
+        tried={seed: round(smallest_margin(clocks), 4) for seed, clocks in tried.items()},
+        required=margin,
+    )
+    (folder / "report.json").write_text(report.to_json())
+    return report
+
+
+def prepare(target: Target, folder: Path, /) -> list[list[str]]:
+    """Write a target's sources, constraints and scripts.
+
+    Parameters
+    ----------
+    target : Target
+        Design and board.
+    folder : Path
+        Output folder; it is created if needed.
+
+    Returns
+    -------
+    list of list of str
+        Tools to run, in order, with their arguments; empty for boards that need vendor tools.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    options = {
+        "nextpnr_opts": "--report nextpnr.json --timing-allow-fail"
+        + (_ECP5_ROUTE if target.family == "ecp5" else ""),
+        **({"ecppack_opts": "--compress"} if target.family == "ecp5" else {}),
+        **target.options,
+    }
+    plan = target.platform().prepare(target.top(), NAME, emit_src=False, **options)
+    plan.extract(str(folder))
+    return _commands(folder / f"build_{NAME}.sh") if target.family in _PACKERS else []
+
+
+def smallest_margin(clocks: dict[str, ClockResult], /) -> float:
+    """Return the smallest timing margin of all clocks."""
+    return min(clock.margin for clock in clocks.values())
+
+
+def describe_clocks(clocks: dict[str, ClockResult], /) -> str:
+    """Return a line that says what frequency each clock reached."""
+    return ", ".join(
+        f"{name} {c.reached_mhz:.1f} MHz of {c.needed_mhz:g} ({c.margin:+.1%})"
+        for name, c in clocks.items()
+    )
+
+
+def _commands(script: Path) -> list[list[str]]:
+    """Return the tools that Amaranth's build script runs, with their arguments."""
+    tools = {variable: tool for tool, (variable, _) in TOOLS.items()}
+    lines = script.read_text().splitlines()
+    matches = [re.match(r'"\$(\w+)" (.*)', line) for line in lines]
+    return [[tools[match[1]], *match[2].split()] for match in matches if match]

@@ -1,0 +1,79 @@
+"""Writes Verilog projects for other toolchains, and estimates their resources with yosys."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from ..boards.target import Target
+from ..toolchain import run_tool, tool_environment
+from .build import NAME, prepare
+from .report import BuildError
+
+_ISE_SYNTHESIS = {
+    "xc3s": "synth_xilinx -family xc3s -ise -flatten",
+    "xc6s": "synth_xilinx -family xc6s -ise -flatten",
+}
+_KINDS = {
+    "LUT": ("LUT1", "LUT2", "LUT3", "LUT4", "LUT5", "LUT6", "SB_LUT4"),
+    "flip-flop": ("FDRE", "FDSE", "FDCE", "FDPE", "FDR", "FDS", "FD", "FDE", "TRELLIS_FF"),
+    "block RAM": ("RAMB16BWER", "RAMB8BWER", "RAMB16", "DP16KD", "SB_RAM40_4K"),
+    "LUT RAM": ("TRELLIS_DPR16X4",),
+    "carry cell": ("CARRY4", "MUXCY", "XORCY", "CCU2C", "SB_CARRY"),
+}
+
+
+def write_project(target: Target, folder: Path, /) -> list[Path]:
+    """Write a target's Verilog, constraints and scripts.
+
+    Parameters
+    ----------
+    target : Target
+        Design and board.
+    folder : Path
+        Output folder; it is created if needed.
+
+    Returns
+    -------
+    list of Path
+        The files that were written.
+
+    Raises
+    ------
+    ToolError
+        If yosys, which converts RTLIL to Verilog, is not installed or fails.
+    """
+    # Amaranth calls yosys by itself where a vendor's tools want Verilog
+    os.environ.setdefault("YOSYS", tool_environment().get("YOSYS", "yosys"))
+    prepare(target, folder)
+    verilog = folder / f"{NAME}.v"
+    if (folder / f"{NAME}.il").exists():
+        passes = f"read_rtlil {NAME}.il; proc -nomux -norom; memory_collect; "
+        passes += f"write_verilog -norename {verilog.name}"
+        run_tool("yosys", "-q", "-p", passes, cwd=folder)
+    if not verilog.exists():
+        raise BuildError(f"{folder}: no Verilog was written")
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def estimate(target: Target, folder: Path, /) -> dict[str, int]:
+    """Return how many cells yosys makes of a project that has been written, by kind.
+
+    It is an estimate: nothing has been packed, placed or routed. It is also written as
+    ``counts.json``, for the page of bitstreams.
+    """
+    if target.family in _ISE_SYNTHESIS:
+        (folder / "blackboxes.v").write_text(target.blackboxes)
+        passes = f"read_verilog -lib blackboxes.v; read_verilog {NAME}.v; "
+        passes += f"{_ISE_SYNTHESIS[target.family]} -top {NAME}; "
+    else:
+        passes = f"script {NAME}.ys; "
+    passes += "tee -q -o cells.json stat -json"
+    run_tool("yosys", "-q", "-p", passes, cwd=folder)
+    cells = json.loads((folder / "cells.json").read_text())["design"]["num_cells_by_type"]
+    counted = {kind: sum(cells.get(name, 0) for name in names) for kind, names in _KINDS.items()}
+    counted = {kind: number for kind, number in counted.items() if number}
+    content = {"design": target.design, "board": target.board, "lanes": target.lanes}
+    (folder / "counts.json").write_text(json.dumps({**content, "cells": counted}, indent=2) + "\n")
+    return counted

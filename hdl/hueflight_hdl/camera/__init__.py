@@ -1,0 +1,1 @@
+"""The camera: exposures, the interface to a sensor, the frame formatter and its messages."""

@@ -1,0 +1,1 @@
+"""Exposure timing, and the check that every readout is complete."""

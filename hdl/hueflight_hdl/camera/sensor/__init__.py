@@ -1,0 +1,1 @@
+"""The interface to a sensor's readout, and a synthetic sensor that implements it."""

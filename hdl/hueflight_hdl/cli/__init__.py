@@ -1,0 +1,5 @@
+"""The command ``hueflight-hdl``: one module for each subcommand."""
+
+from .app import main
+
+__all__ = ["main"]

@@ -1,0 +1,103 @@
+"""The subcommand ``hueflight-hdl build``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+
+from ..boards.target import Options
+from ..boards.targets import find_target
+from ..build.build import build as build_target
+from ..build.report import REQUIRED_MARGIN, BuildError, BuildReport
+from .app import EXIT_SHORT, Progress, app, errors
+
+
+@app.command
+def build(
+    design: str,
+    /,
+    *,
+    board: str,
+    folder: Path | None = None,
+    seed: int = 1,
+    seeds: int = 8,
+    accept_margin: Annotated[float, Parameter(name="--accept-margin")] = 100 * REQUIRED_MARGIN,
+    lanes: int | None = None,
+    json: bool = False,
+) -> None:
+    """Build a bitstream with the open tools and report its timing margins and cell counts.
+
+    The exit code is 2 if a clock misses the required timing margin. The bitstream and its report
+    are written in that case too.
+
+    Parameters
+    ----------
+    design
+        Design to build: illuminator or camera.
+    board
+        Board to build for, for example ulx3s-85f. An unknown name makes the error list all boards.
+    folder
+        Output folder. The default is build/DESIGN-BOARD.
+    seed
+        First seed of placement and routing.
+    seeds
+        Number of seeds to try, in order, until every clock has the required timing margin.
+    accept_margin
+        Required timing margin in percent: how much faster than its frequency each clock can run.
+    lanes
+        Number of codes per clock at the camera's sensor port: 1, 2, 4 or 8.
+    json
+        Print the report as JSON instead of a table.
+    """
+    if seeds < 1:
+        raise BuildError(f"--seeds {seeds}: must be 1 or more")
+    if accept_margin < 0:
+        raise BuildError(
+            f"--accept-margin {accept_margin:g}: must be 0 or more; with a negative margin "
+            "the design would not work"
+        )
+    target = find_target(design, board, Options(lanes=lanes))
+    report = build_target(
+        target,
+        folder or Path("build") / f"{design}-{board}",
+        seeds=range(seed, seed + seeds),
+        margin=accept_margin / 100,
+        progress=Progress(),
+    )
+    if json:
+        print(report.to_json(), end="")
+    else:
+        show(report)
+    if not report.reached:
+        errors.print(
+            f"timing margin missed: the smallest margin is {report.margin:+.1%} after "
+            f"{len(report.tried)} seeds, {report.required:.0%} is required; try other seeds with "
+            "--seed and --seeds, or accept less with --accept-margin"
+        )
+        raise SystemExit(EXIT_SHORT)
+    if report.required < REQUIRED_MARGIN:
+        errors.print(
+            f"note: a timing margin of {report.required:.1%} was accepted instead of the usual "
+            f"{REQUIRED_MARGIN:.0%}; the smallest margin is {report.margin:+.1%}"
+        )
+
+
+def show(report: BuildReport) -> None:
+    """Print a report as a table."""
+    table = Table(title=f"{report.design} on {report.board}", title_justify="left", box=None)
+    for name in ("", "used / reached", "available / needed", "margin"):
+        table.add_column(name, justify="right" if name else "left")
+    for kind, (used, available) in report.used.items():
+        table.add_row(f"{kind}s", f"{used}", f"{available}", f"{1 - used / available:.0%} free")
+    for name, clock in report.clocks.items():
+        reached, needed = f"{clock.reached_mhz:.1f} MHz", f"{clock.needed_mhz:g} MHz"
+        table.add_row(f"clock {name}", reached, needed, f"{clock.margin:+.1%}")
+    console = Console(highlight=False)
+    console.print(table)
+    tried = ", ".join(f"{seed}: {margin:+.1%}" for seed, margin in report.tried.items())
+    console.print(f"seed {report.seed} (tried {tried})")
+    console.print(f"{report.bitstream} sha256 {report.sha256}", soft_wrap=True)

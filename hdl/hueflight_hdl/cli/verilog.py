@@ -1,0 +1,51 @@
+"""The subcommand ``hueflight-hdl verilog``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..boards.target import Options
+from ..boards.targets import find_target
+from ..build.project import estimate, write_project
+from .app import Progress, app
+
+
+@app.command
+def verilog(
+    design: str,
+    /,
+    *,
+    board: str,
+    folder: Path | None = None,
+    pins: Path | None = None,
+    lanes: int | None = None,
+    count: bool = False,
+) -> None:
+    """Write a design as a Verilog project with constraints and build scripts.
+
+    Parameters
+    ----------
+    design
+        Design to write: illuminator or camera.
+    board
+        Board to write the project for, for example ulx3s-85f, or the paper's xem3010 or xem6310.
+    folder
+        Output folder. The default is build/DESIGN-BOARD-project.
+    pins
+        TOML file with the FPGA pins, required for boards whose wiring depends on the builder.
+    lanes
+        Number of codes per clock at the camera's sensor port: 1, 2, 4 or 8.
+    count
+        Estimate the resources with yosys and print them.
+    """
+    progress = Progress()
+    target = find_target(design, board, Options(pins=pins, lanes=lanes))
+    where = folder or Path("build") / f"{design}-{board}-project"
+    progress(f"writing {design} for {board}")
+    for path in write_project(target, where):
+        print(path)
+    if count:
+        progress("estimating resources with yosys")
+        for kind, number in estimate(target, where).items():
+            print(f"{kind}: {number}")
+        print("estimated by yosys before placement and routing; the vendor's tools will differ")

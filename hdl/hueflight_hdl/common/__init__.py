@@ -1,0 +1,1 @@
+"""Parts that both boards use: counters, clock-domain crossings and the version of the gateware."""

@@ -1,1 +1,0 @@
-"""Whole designs, from link to pins."""

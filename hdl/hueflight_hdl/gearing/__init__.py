@@ -1,1 +1,0 @@
-"""Gearing: several ticks in each clock, in and out of the pins, behind one seam."""

@@ -1,0 +1,1 @@
+"""Gearing: converts between words of several ticks per clock and faster signals at the pins."""

@@ -1,1 +1,0 @@
-"""Exposures, the seam to a sensor, and a synthetic sensor behind it."""

@@ -1,1 +1,0 @@
-"""Simulation of gateware at millions of clocks a second, through CXXRTL."""

@@ -1,0 +1,1 @@
+"""Testbenches: compiled simulation through CXXRTL, and models of what surrounds a design."""

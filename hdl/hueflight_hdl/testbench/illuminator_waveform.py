@@ -1,0 +1,158 @@
+"""One LED train of the simulated illuminator, as a VCD file and as a drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+import numpy as np
+from vcd import VCDWriter
+
+from ..illuminator.gearing.ecp5 import Ecp5Gearing
+from ..illuminator.gearing.interface import Gearing
+from ..illuminator.illuminator import IlluminatorConfig
+from ..illuminator.pulse_generator.config import PulseConfig
+from ..illuminator.pulse_generator.reference import Pulse, Schedule
+from .illuminator_trials import Trial, TrialTestbench
+
+TABLE_1 = Schedule(256, 0x1FF, [[Pulse(24 * channel, 8)] for channel in range(9)])
+"""The paper's schedule in ticks of 1.25 ns: 10 ns wide, 30 ns apart, every 320 ns (its Table 1)."""
+_LEAD_CLOCKS = 600
+"""For the request that arms."""
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """Levels of pins in equal steps of time.
+
+    Parameters
+    ----------
+    tick_ns : float
+    pins : dict of str to numpy.ndarray of bool, shape (ticks,)
+    """
+
+    tick_ns: float
+    pins: dict[str, np.ndarray]
+
+
+def record_train(
+    config: IlluminatorConfig | None = None,
+    gearing: Gearing | None = None,
+    schedule: Schedule = TABLE_1,
+    *,
+    phase: int = 0,
+) -> Waveform:
+    """Simulate an illuminator from pin to pin for one train.
+
+    Parameters
+    ----------
+    config : IlluminatorConfig, optional
+        By default the paper's nine channels, 200 MHz, four lanes.
+    gearing : Gearing, optional
+        Gearing whose model is simulated; by default that of the ECP5.
+    schedule : Schedule
+    phase : int
+        Lane of the trigger.
+
+    Returns
+    -------
+    Waveform
+        From shortly before the trigger to the end of its train; pins ``trigger``, ``armed`` and
+        ``led0`` and so on.
+    """
+    config = config or IlluminatorConfig(PulseConfig(pulses=1, steps=1))
+    bench = TrialTestbench(config, gearing or Ecp5Gearing())
+    lanes = config.pulse.lanes
+    late = bench.latency_clocks * lanes
+    trigger = np.zeros(_LEAD_CLOCKS * lanes + schedule.period + 4 * late, bool)
+    at = _LEAD_CLOCKS * lanes + phase
+    trigger[at : at + 8] = True
+    shot = bench.play(Trial((schedule, schedule), trigger))
+    window = slice(at - 8, at + late + schedule.period + 8)
+
+    def pin(levels: np.ndarray) -> np.ndarray:
+        return np.concatenate((np.zeros(late, bool), levels))[window]
+
+    pins = {"trigger": trigger[window], "armed": pin(shot.armed)}
+    pins |= {f"led{channel}": pin(level) for channel, level in enumerate(shot.levels)}
+    return Waveform(config.tick_fs * 1e-6, pins)
+
+
+def write_vcd(waveform: Waveform, path: Path, /) -> None:
+    """Write a waveform as a value change dump (IEEE 1364-2005, clause 18), in picoseconds."""
+    with path.open("w") as file, VCDWriter(file, timescale="1 ps", date="") as writer:
+        signals = {
+            name: writer.register_var("illuminator", name, "wire", size=1, init=int(level[0]))
+            for name, level in waveform.pins.items()
+        }
+        ticks = len(next(iter(waveform.pins.values())))
+        for tick in range(1, ticks):
+            now = round(tick * waveform.tick_ns * 1000)
+            for name, level in waveform.pins.items():
+                if level[tick] != level[tick - 1]:
+                    writer.change(signals[name], now, int(level[tick]))
+        writer.close(round(ticks * waveform.tick_ns * 1000))
+
+
+_LEFT, _WIDTH, _ROW, _HIGH, _TOP = 76, 760, 34, 20, 20
+_STYLE = """\
+text { font: 12px system-ui, sans-serif; fill: #333 }
+.grid { stroke: #8886; stroke-width: 1; stroke-dasharray: 2 4 }
+.level { stroke: #1f6feb; stroke-width: 1.6; fill: #1f6feb33 }
+.trigger { stroke: #c2410c; stroke-width: 1.6; fill: #c2410c33 }
+@media (prefers-color-scheme: dark) { text { fill: #ccc } }"""
+
+
+def draw(waveform: Waveform, path: Path, /) -> None:
+    """Draw the trigger and the LEDs over time since the trigger as an SVG.
+
+    Each pulse is marked with when it begins after the first LED's, and how long it lasts.
+    """
+    tick = waveform.tick_ns
+    trigger = waveform.pins["trigger"]
+    shown = {name: level for name, level in waveform.pins.items() if name != "armed"}
+    origin = int(np.flatnonzero(trigger)[0])
+    span = len(trigger) * tick
+
+    def x(ticks: float) -> float:
+        return _LEFT + ticks * tick / span * _WIDTH
+
+    bottom = _TOP + _ROW * len(shown)
+    size = f"{_LEFT + _WIDTH + 16} {bottom + 36}"
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size}" role="img" '
+        f'aria-label="Levels of {escape(", ".join(shown))} over time">',
+        f"<style>{_STYLE}</style>",
+    ]
+    for time in range(0, int(span - origin * tick) + 1, 40):
+        at = x(origin + time / tick)
+        parts += [
+            f'<path class="grid" d="M{at:.1f} {_TOP - 8}V{bottom}"/>',
+            f'<text x="{at:.1f}" y="{bottom + 16}" text-anchor="middle">{time}</text>',
+        ]
+    parts.append(
+        f'<text x="{_LEFT + _WIDTH / 2}" y="{bottom + 32}" text-anchor="middle">'
+        "ns after the trigger</text>"
+    )
+    first = min((int(np.flatnonzero(level)[0]) for name, level in shown.items()
+                 if name != "trigger" and level.any()), default=origin)  # fmt: skip
+    for row, (name, level) in enumerate(shown.items()):
+        base = _TOP + _ROW * row + _HIGH + 6
+        label = name.replace("led", "LED ")
+        parts.append(f'<text x="{_LEFT - 10}" y="{base - 4}" text-anchor="end">{label}</text>')
+        change = np.diff(np.concatenate(([0], level.astype(int), [0])))
+        rises, falls = np.flatnonzero(change > 0), np.flatnonzero(change < 0)
+        line = f"M{_LEFT} {base}"
+        for rise, fall in zip(rises, falls, strict=True):
+            line += f"H{x(rise):.1f}V{base - _HIGH}H{x(fall):.1f}V{base}"
+            if name != "trigger":
+                told = f"{(rise - first) * tick:g} + {(fall - rise) * tick:g} ns"
+                end = fall + 3 if x(fall) < _LEFT + _WIDTH - 100 else rise - 3
+                anchor = "start" if end > fall else "end"
+                parts.append(
+                    f'<text x="{x(end):.1f}" y="{base - 6}" text-anchor="{anchor}">{told}</text>'
+                )
+        kind = "trigger" if name == "trigger" else "level"
+        parts.append(f'<path class="{kind}" d="{line}H{_LEFT + _WIDTH}"/>')
+    path.write_text("\n".join([*parts, "</svg>"]) + "\n")

@@ -1,0 +1,87 @@
+"""Real builds: margins, bit-identical repetition, and what happens where a clock falls short."""
+
+import json
+
+import pytest
+
+from hueflight_hdl.boards.targets import find_target
+from hueflight_hdl.build.build import build
+from hueflight_hdl.build.report import BuildError
+from hueflight_hdl.cli import build as build_command
+from hueflight_hdl.cli import main
+
+
+def test_a_build_repeated_is_the_same_to_the_bit(builder, small, tmp_path):
+    first = build(small(12), tmp_path / "first")
+    second = build(small(12), tmp_path / "second")
+    assert first.bitstream.read_bytes() == second.bitstream.read_bytes()
+    assert first.sha256 == second.sha256
+    assert first.reached
+    assert list(first.tried) == [1]
+    assert (tmp_path / "first/report.json").read_text() == first.to_json() == second.to_json()
+    assert build(small(12), tmp_path / "other", seeds=[2]).sha256 != first.sha256
+
+
+@pytest.mark.slow
+def test_every_seed_is_tried_and_the_best_is_kept_where_none_reaches(builder, small, tmp_path):
+    report = build(small(900), tmp_path, seeds=[3, 4, 5])
+    assert not report.reached
+    assert list(report.tried) == [3, 4, 5]
+    assert report.tried[report.seed] == max(report.tried.values())
+    alone = build(small(900), tmp_path / "alone", seeds=[report.seed])
+    assert alone.sha256 == report.sha256
+
+
+def test_the_command_reports_the_result(builder, small, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(build_command, "find_target", lambda *_: small(12))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["build", "illuminator", "--board", "small", "--json"])
+    assert not ended.value.code
+    said = capsys.readouterr()
+    assert json.loads(said.out)["reached"] is True
+    assert "synthesis" in said.err
+    assert (tmp_path / "build/illuminator-small/top.bin").exists()
+
+    monkeypatch.setattr(build_command, "find_target", lambda *_: small(900))
+    with pytest.raises(SystemExit) as ended:
+        main(["build", "illuminator", "--board", "small", "--seeds", "1"])
+    assert ended.value.code == 2
+    assert "timing margin missed" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_smaller_margin_is_accepted_with_a_note(builder, small, tmp_path, monkeypatch, capsys):
+    reached = build(small(12), tmp_path).clocks["sync"].reached_mhz
+    close = small(reached / 1.05)
+    monkeypatch.setattr(build_command, "find_target", lambda *_: close)
+    words = ["build", "illuminator", "--board", "small", "--seeds", "1", "--folder", str(tmp_path)]
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        main([*words, "--accept-margin", "4"])
+    assert not ended.value.code
+    assert (
+        "a timing margin of 4.0% was accepted instead of the usual 10%" in capsys.readouterr().err
+    )
+
+
+def test_ise_boards_are_not_built_here(small, tmp_path):
+    target = small(12)
+    ise = type(target)(**{**vars(target), "family": "xc3s"})
+    with pytest.raises(BuildError, match="hueflight-hdl verilog illuminator --board small"):
+        build(ise, tmp_path)
+    with pytest.raises(BuildError, match="seeds is empty"):
+        build(target, tmp_path, seeds=[])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("board", ["hx8k", "ulx3s-85f"])
+def test_illuminator_has_its_margin_and_repeats(builder, tmp_path, board):
+    target = find_target("illuminator", board)
+    report = build(target, tmp_path)
+    assert report.reached, report.to_json()
+    again = build(target, tmp_path / "again", seeds=[report.seed])
+    assert again.sha256 == report.sha256

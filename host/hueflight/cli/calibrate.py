@@ -25,7 +25,7 @@ def calibrate(
     bands: Path | None = None,
     dark: Path | None = None,
     flat: Path | None = None,
-    reflectance: tuple[float, ...] | None = None,
+    reflectance: Annotated[tuple[float, ...] | None, Parameter(negative_iterable=())] = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -44,10 +44,10 @@ def calibrate(
         Instrument of the captures: a preset or the path of a TOML file. Needed only where the
         reference capture does not name its instrument.
     bands : Path, optional
-        Capture of the same target with one LED on at a time. Without it, the waveform of each
-        LED is estimated from the reference.
+        Capture of the same target with one LED on at a time. Without it, the waveforms of the LEDs
+        are separated in the reference, which is less accurate where they overlap.
     dark : Path, optional
-        Capture with the LEDs off. Without it, hot pixels are found in the reference.
+        Capture with the LEDs off. Without it, hot pixels are found in the reference only.
     flat : Path, optional
         Capture under steady light, from which the width of each code is measured. Without it,
         all codes are taken to have the nominal width.

@@ -93,7 +93,8 @@ def capture(
         Fraction of pixels that must reach the target of --until-depth-std or
         --until-reflectance-std.
     distance : float, optional
-        Distance of the target from the camera, in metres, to be stored in the recording.
+        Distance of the target from the camera, in metres, to be stored in the recording. By
+        default none is stored.
     note : str, optional
         Text to be stored in the recording.
     rig : str, optional

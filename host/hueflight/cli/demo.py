@@ -22,7 +22,7 @@ def demo(
         Folder for the page (index.html), its pictures and its numbers (figures.json). A report
         that is there already is replaced.
     frames : int, default 10000
-        Number of frames in each capture, at least 100. The published captures had 10 000.
+        Number of frames in each capture, at least 100. The published captures had 10000.
     seed : int, default 1
         Seed of the random numbers that draw the photons and the sensor's defects.
     json : bool, default False

@@ -16,7 +16,10 @@ from hueflight.errors import HueflightError
 
 def reconstruct(
     *captures: Annotated[
-        Path, Parameter(help="Recordings (.mcap) or counts (.npz, .npy, .zarr, .h5, .ptu, .sdt).")
+        Path,
+        Parameter(
+            help="Recordings (.mcap) or counts (.npz, .npy, .zarr, .h5, .ptu, .sdt); at least one."
+        ),
     ],
     calibration: Annotated[Path, Parameter(name=["--calibration", "-c"])],
     out: Annotated[Path, Parameter(name=["--out", "-o"])],

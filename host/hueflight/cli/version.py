@@ -5,19 +5,23 @@ from __future__ import annotations
 import platform
 from importlib.metadata import version
 
+from hueflight.backend import KERNELS, describe
+
 
 def describe_version() -> str:
-    """Versions of Hueflight and of what its numbers depend on, one a line.
+    """Describe the software that numbers depend on, for bug reports.
 
     Returns
     -------
     str
-        Lines for people and bug reports.
+        Versions of Hueflight, Python and NumPy, and for each set of kernels whether the compiled
+        or the NumPy version runs, and why; one a line.
     """
-    return "\n".join(
-        (
-            f"hueflight {version('hueflight')}",
-            f"Python {platform.python_version()}",
-            f"NumPy {version('numpy')}",
-        )
-    )
+    lines = [
+        f"hueflight {version('hueflight')}",
+        f"Python {platform.python_version()}",
+        f"NumPy {version('numpy')}",
+    ]
+    for name, implementation in describe().items():
+        lines.append(f"kernels for {KERNELS[name].purpose}: {implementation}")
+    return "\n".join(lines)

@@ -331,3 +331,49 @@ def test_workers_use_one_thread_each() -> None:
     before = dict(os.environ)
     assert LocalWorkers(3).workers == 3
     assert dict(os.environ) == before
+
+
+def test_a_store_that_no_batch_made_is_not_replaced(
+    captures: list[Path], calibration: hf.Calibration, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    single = hf.reconstruct_file(captures[0], out / "run0.zarr", calibration=calibration)
+    with pytest.raises(BatchError, match=r"run0\.zarr was made from another capture"):
+        reconstruct_many(captures[:1], out, calibration=calibration, executor=InThisProcess())
+    assert read_image(single.store).attrs["capture"] == "run0.npz"
+    report = reconstruct_many(
+        captures[:1], out, calibration=calibration, executor=InThisProcess(), overwrite=True
+    )
+    assert states(report) == ["done"]
+
+
+def test_a_store_of_version_0_1_is_known_by_the_report_beside_it(
+    captures: list[Path], calibration: hf.Calibration, tmp_path: Path
+) -> None:
+    """Stores did not say then which capture they were made from; batch.json did."""
+    out = tmp_path / "out"
+    reconstruct_many(captures[:1], out, calibration=calibration, executor=InThisProcess())
+    attributes = json.loads((out / "run0.zarr" / ".zattrs").read_text())
+    del attributes["capture_path"]
+    (out / "run0.zarr" / ".zattrs").write_text(json.dumps(attributes))
+    again = reconstruct_many(
+        captures[:1], out, calibration=calibration, executor=InThisProcess(),
+        options={"range_correction": True},
+    )  # fmt: skip
+    assert states(again) == ["done"]
+
+
+def test_one_file_and_a_batch_give_the_same_image_and_summary(
+    captures: list[Path], calibration: hf.Calibration, tmp_path: Path
+) -> None:
+    single = hf.reconstruct_file(captures[1], tmp_path / "one.zarr", calibration=calibration)
+    many = reconstruct_many(
+        captures[1:2], tmp_path / "out", calibration=calibration, executor=InThisProcess()
+    )
+    assert many.outcomes[0].summary == single.summary()
+    assert single.summary()["depth_50_percent_m"] == pytest.approx(0.6, abs=0.02)
+    stored = read_image(many.outcomes[0].store)
+    for name in single.image.data_vars:
+        np.testing.assert_array_equal(stored[name], single.image[name])
+    assert stored.attrs["capture_losses"] == "none"

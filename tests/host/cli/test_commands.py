@@ -1,6 +1,9 @@
 """The commands as a person types them: results, messages, exit codes; never a traceback."""
 
+import ast
+import inspect
 import json
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +11,8 @@ import pytest
 import xarray as xr
 
 from hueflight.cli import main
+from hueflight.cli.app import COMMANDS
+from hueflight.cli.output import show
 
 TOML = """
 name = "bench"
@@ -170,11 +175,90 @@ def test_nothing_is_overwritten_unasked(bench: Path, run) -> None:
     assert run(*words, "--overwrite").code == 0
 
 
-def test_help_names_every_command(run) -> None:
+def test_help_names_every_command_and_the_exit_codes(run) -> None:
     shown = run("--help")
     assert shown.code == 0
-    for command in ("demo", "simulate", "info", "calibrate", "reconstruct"):
-        assert command in shown.out
+    for command in COMMANDS:
+        assert f"│ {command} " in shown.out
+    for code in ("0: ", "1: ", "3: ", "130: "):
+        assert code in shown.out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_summary_is_the_first_line_of_the_commands_docstring(command: str) -> None:
+    function = getattr(import_module(f"hueflight.cli.{command}"), command)
+    assert (inspect.getdoc(function) or "").splitlines()[0] == COMMANDS[command]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_option_is_a_sentence_of_its_own(command: str, run) -> None:
+    module = import_module(f"hueflight.cli.{command}")
+    documented = inspect.getdoc(getattr(module, command)) or ""
+    parameters = documented.partition("Parameters\n---")[2].partition("\nReturns\n")[0]
+    texts = ["".join(f" {line.strip()}" for line in block) for block in _descriptions(parameters)]
+    assert len(texts) == len(inspect.signature(getattr(module, command)).parameters)
+    for text in texts:
+        assert text[1].isupper(), text
+        assert text.endswith("."), text
+        # a whole sentence names what it is about: it can't begin with what stands before it
+        assert not text.startswith((" Of ", " That ", " Its ", " The same", " Likewise")), text
+    shown = run(command, "--help")
+    assert shown.code == 0
+    assert "--help" not in shown.err
+
+
+def _descriptions(parameters: str) -> list[list[str]]:
+    blocks: list[list[str]] = []
+    for line in parameters.splitlines():
+        if " : " in line and not line.startswith(" "):
+            blocks.append([])
+        elif line.startswith("    ") and blocks:
+            blocks[-1].append(line)
+    return blocks
+
+
+def test_help_lists_the_choices_there_are(run) -> None:
+    from hueflight.export import FORMATS
+    from hueflight.reconstruction.reconstruct import METHODS
+    from hueflight.simulator import SCENES
+
+    for command, choices in (
+        ("reconstruct", METHODS), ("serve", METHODS), ("serve", SCENES), ("capture", SCENES),
+        ("simulate", SCENES), ("export", FORMATS), ("simulate", ("paper", "fine")),
+        ("capture", ("reference", "bands", "dark", "flat")),
+    ):  # fmt: skip
+        shown = run(command, "--help").out
+        for choice in choices:
+            assert choice in shown, (command, choice)
+
+
+def test_commands_do_not_import_the_application() -> None:
+    """The application names the commands; they must not name it."""
+    folder = Path(inspect.getfile(main)).parent
+    for path in folder.glob("*.py"):
+        if path.stem in ("app", "__init__"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert node.module not in ("hueflight.cli", "hueflight.cli.app"), path.name
+
+
+def test_brackets_in_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    show("Image lab[/run].zarr", {"preview": "lab[/run].png"}, json_wanted=False)
+    shown = capsys.readouterr().out
+    assert "lab[/run].zarr" in shown
+    assert "lab[/run].png" in shown
+
+
+def test_brackets_in_a_path_reach_table_and_message(bench: Path, run) -> None:
+    (bench / "lab[").mkdir()
+    words = ("--instrument", "bench.toml", "--frames", "5", "-o", "lab[/run].npz")
+    done = run("simulate", "plane", *words)
+    assert done.code == 0, done.err
+    assert "lab[/run].npz" in done.out
+    refused = run("simulate", "plane", *words)
+    assert refused.code == 1
+    assert "lab[/run].npz" in refused.err
 
 
 def recorded(run, name: str, frames: int = 300) -> None:
@@ -228,3 +312,70 @@ def test_an_image_is_exported_by_its_ending(bench: Path, run) -> None:
     refused = run("export", "scene.zarr", "cloud.xyz")
     assert refused.code == 1
     assert "cloud.xyz" in refused.err
+
+
+def test_an_existing_picture_is_not_replaced_unasked(bench: Path, run) -> None:
+    """`reconstruct -o p.zarr` writes p.png too: both are looked for before anything is read."""
+    (bench / "scene.png").write_bytes(b"somebody's picture")
+    words = ("reconstruct", "no-such.mcap", "-c", "no-such.zarr", "-o", "scene.zarr")
+    refused = run(*words)
+    assert refused.code == 1
+    assert "'scene.png' exists already" in refused.err
+    assert "--overwrite" in refused.err
+    calibrated(run)
+    recorded(run, "scene.mcap", frames=50)
+    words = ("reconstruct", "scene.mcap", "-c", "cal.zarr", "-o", "scene.zarr")
+    assert run(*words).code == 1
+    assert (bench / "scene.png").read_bytes() == b"somebody's picture"
+    assert not (bench / "scene.zarr").exists()
+    assert run(*words, "--no-preview").code == 0
+    assert (bench / "scene.png").read_bytes() == b"somebody's picture"
+    assert run(*words, "--overwrite").code == 0
+    assert (bench / "scene.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_an_existing_result_is_found_before_anything_is_read(bench: Path, run) -> None:
+    (bench / "there.zarr").mkdir()
+    for words in (
+        ("reconstruct", "no-such.mcap", "-c", "no-such.zarr", "-o", "there.zarr"),
+        ("calibrate", "no-such.mcap", "-d", "0.4", "-o", "there.zarr"),
+    ):
+        refused = run(*words)
+        assert refused.code == 1
+        assert "'there.zarr' exists already" in refused.err
+
+
+def test_a_report_does_not_replace_a_foreign_page(bench: Path, run) -> None:
+    (bench / "index.html").write_text("my page")
+    refused = run("demo", "--out", ".", "--frames", "100")
+    assert refused.code == 1
+    assert "index.html exists" in refused.err
+    assert (bench / "index.html").read_text() == "my page"
+
+
+def test_a_capture_does_not_replace_a_file_beside_it(bench: Path, run) -> None:
+    (bench / "scene.json").write_text("{}")
+    words = ("--simulate", "--instrument", "bench.toml", "--frames", "5", "-o", "scene.mcap")
+    refused = run("capture", *words)
+    assert refused.code == 1
+    assert "scene.json exists" in refused.err
+    assert (bench / "scene.json").read_text() == "{}"
+    assert not (bench / "scene.mcap").exists()
+
+
+def test_a_batch_does_not_replace_images_of_other_captures(bench: Path, run) -> None:
+    calibrated(run)
+    for folder in ("run1", "run2"):
+        (bench / folder).mkdir()
+        recorded(run, f"{folder}/scan.mcap", frames=50)
+    words = ("-c", "cal.zarr", "-o", "all", "--workers", "1", "--json")
+    assert run("reconstruct", "run1/scan.mcap", *words).json["done"] == 1
+    refused = run("reconstruct", "run2/scan.mcap", *words)
+    assert refused.code == 1
+    assert "run1/scan.mcap" in refused.err
+    assert run("reconstruct", "run1/scan.mcap", *words).json["kept"] == 1
+    assert run("reconstruct", "run2/scan.mcap", *words, "--overwrite").json["done"] == 1
+    # the same capture in another way is meant to take its own image's place
+    again = run("reconstruct", "run2/scan.mcap", *words, "--range-correction")
+    assert again.json["done"] == 1
+    assert again.json["outcomes"][0]["summary"]["pixels"] == 120

@@ -1,11 +1,12 @@
-"""A perceptually uniform colour map for previews."""
+"""The colour map of all pictures: viridis, perceptually uniform."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-NO_DATA = (176, 176, 176)  #: grey, which the map itself never takes
+NO_DATA = (176, 176, 176)  #: grey, which does not occur in the colour map
+TABLE_SIZE = 256  #: number of colours that `table` gives
 
 # Thirty-three of the 256 colours of viridis (S. van der Walt and N. Smith, 2015, public domain);
 # between them straight lines stay within three of 255 steps of the original.
@@ -17,11 +18,34 @@ _NODES = bytes.fromhex(
 _VIRIDIS = np.frombuffer(_NODES, dtype=np.uint8).reshape(-1, 3)
 
 
+def table() -> NDArray[np.uint8]:
+    """List the colours of the map at evenly spaced values.
+
+    Returns
+    -------
+    ndarray of uint8, shape (256, 3)
+        Red, green and blue, from the lowest value to the highest.
+    """
+    return colours(np.linspace(0, 1, TABLE_SIZE)[None], 0, 1)[0]
+
+
 def colours(plane: NDArray[np.floating], low: float, high: float) -> NDArray[np.uint8]:
-    """Values (row, col) as colours (row, col, 3); beyond the limits the end colours.
+    """Colour values by the colour map.
 
-    NaN becomes `NO_DATA`.
+    Parameters
+    ----------
+    plane : ndarray of float, shape (row, col)
+        The values; NaN becomes `NO_DATA`.
+    low, high : float
+        Values of the first and the last colour, which also stand for everything beyond them.
 
+    Returns
+    -------
+    ndarray of uint8, shape (row, col, 3)
+        Red, green and blue.
+
+    Examples
+    --------
     >>> colours(np.array([[0.0, np.nan, 1.0]]), 0, 1).tolist()
     [[[68, 1, 84], [176, 176, 176], [253, 231, 37]]]
     """

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Illuminant = Literal["C", "D65"]
+_COLUMN_OF_POWER: dict[Illuminant, int] = {"C": 4, "D65": 5}
 
 # XYZ → linear sRGB (IEC 61966-2-1:1999)
 _TO_LINEAR = np.array(
@@ -28,19 +29,47 @@ def _table() -> NDArray[np.float64]:
     return np.array([[float(entry) for entry in line.split(",")] for line in text.split()[1:]])
 
 
-def tristimulus(
-    wavelength_nm: ArrayLike, /, *, illuminant: Illuminant = "D65"
-) -> NDArray[np.float64]:
-    """Weights (3, wavelength) that give XYZ of a reflectance sampled there; white has Y = 1.
+def illuminant_power(wavelength_nm: ArrayLike, /, illuminant: Illuminant) -> NDArray[np.float64]:
+    """Look up the relative power of a standard illuminant.
 
     Parameters
     ----------
-    wavelength_nm : (wavelength,) evenly spaced, 380 to 780 nm or more, no wider than 10 nm.
-    illuminant : under which it is looked at.
+    wavelength_nm : array_like, shape (wavelength,)
+        Wavelengths, nm; between the rows of the table the power is interpolated.
+    illuminant : {"C", "D65"}
+        The illuminant.
+
+    Returns
+    -------
+    ndarray of float, shape (wavelength,)
+        Power, 100 at 560 nm for D65; 0 outside 380 to 780 nm.
+    """
+    values = _table()
+    power = values[:, _COLUMN_OF_POWER[illuminant]]
+    nodes = np.asarray(wavelength_nm, np.float64)
+    return np.interp(nodes, values[:, 0], power, left=0, right=0)
+
+
+def tristimulus(
+    wavelength_nm: ArrayLike, /, *, illuminant: Illuminant = "D65"
+) -> NDArray[np.float64]:
+    """Compute the weights that turn a sampled reflectance into XYZ.
+
+    Parameters
+    ----------
+    wavelength_nm : array_like, shape (wavelength,)
+        Evenly spaced samples, 380 to 780 nm or more, no more than 10 nm apart.
+    illuminant : {"D65", "C"}
+        The light under which the surface is seen.
+
+    Returns
+    -------
+    ndarray of float, shape (3, wavelength)
+        Weights for X, Y and Z; white has Y = 1.
     """
     nodes = np.asarray(wavelength_nm, np.float64)
     table = _table()
-    power = table[:, 4 if illuminant == "C" else 5]
+    power = table[:, _COLUMN_OF_POWER[illuminant]]
     weights = np.array(
         [
             np.interp(nodes, table[:, 0], table[:, column] * power, left=0, right=0)
@@ -51,21 +80,31 @@ def tristimulus(
 
 
 def srgb_of(xyz: ArrayLike, /) -> NDArray[np.float64]:
-    """Display values (…, 3) in 0..1 of XYZ under D65 whose white has Y = 1; clipped to the gamut.
+    """Convert XYZ under D65 to display values, clipped to the gamut.
 
     IEC 61966-2-1:1999, with white scaled to exactly (1, 1, 1).
+
+    Parameters
+    ----------
+    xyz : array_like, shape (..., 3)
+        Tristimulus values, white at Y = 1.
+
+    Returns
+    -------
+    ndarray of float, shape (..., 3)
+        sRGB in 0..1.
     """
     return encoded(linear_of(xyz))
 
 
 def linear_of(xyz: ArrayLike, /) -> NDArray[np.float64]:
-    """Linear sRGB (…, 3) of XYZ under D65, unclipped."""
+    """Convert XYZ (..., 3) under D65 to linear sRGB (..., 3), not clipped."""
     white = _TO_LINEAR @ tristimulus(_table()[:, 0]).sum(axis=1)
     return np.asarray(xyz, np.float64) @ _TO_LINEAR.T / white
 
 
 def encoded(linear: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Linear sRGB clipped to 0..1 and through its transfer curve."""
+    """Clip linear sRGB to 0..1 and apply the transfer curve."""
     light = np.clip(linear, 0, 1)
     return np.where(
         light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055

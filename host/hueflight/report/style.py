@@ -8,11 +8,15 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
-DEPTH_MAP = "viridis"  #: perceptually uniform, readable without colour vision
+from hueflight.color.colormap import table
+
+#: of depth: perceptually uniform, readable without colour vision
+DEPTH_MAP = ListedColormap(table() / 255, name="hueflight")
 TRUTH = {"color": "0.15", "linewidth": 1.2, "linestyle": "--"}
 MEASURED = {"color": "#c2410c", "linewidth": 1.1}
 SECOND = {"color": "#1d4ed8", "linewidth": 1.1}
@@ -54,10 +58,10 @@ def show_plane(
     aspect: float,
     title: str = "",
     limits: tuple[float, float] | None = None,
-    colours: str = "gray",
+    colours: str | Colormap = "gray",
 ) -> AxesImage:
     """One (row, col) plane with square world proportions; missing pixels in a quiet tone."""
-    colour_map = mpl.colormaps[colours].with_extremes(bad="#d8b4b4")
+    colour_map = mpl.colormaps.get_cmap(colours).with_extremes(bad="#d8b4b4")
     low, high = limits if limits else (None, None)
     shown = axes.imshow(
         np.ma.masked_invalid(plane),

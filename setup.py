@@ -6,16 +6,19 @@ from platform import machine
 from setuptools import Extension, setup
 
 PACKAGES = Path("host/hueflight")
+SHARED = PACKAGES / "backend" / "_c"  # headers of several kernels
 NO_ERRNO = "-fno-math-errno"  # roots and logarithms need not set errno
 
 
 def kernels(package: str, *, name: str = "_kernels", flags: tuple[str, ...] = (), **options):
-    """The extension `hueflight.<package>.<name>`, built from all of that package's `_c` folder."""
+    """The extension `hueflight.<package>.<name>`, built from that package's `_c` folder."""
     folder = PACKAGES.joinpath(*package.split(".")) / "_c"
+    headers = [*folder.glob("*.h"), *SHARED.glob("*.h")]
     return Extension(
         f"hueflight.{package}.{name}",
         sources=[str(folder / "kernels.c")],
-        depends=sorted(str(header) for header in folder.glob("*.h")),
+        depends=sorted(str(header) for header in headers),
+        include_dirs=[str(SHARED)],
         extra_compile_args=["-O3", *flags],
         py_limited_api=True,
         optional=True,  # without a compiler the NumPy definitions are used

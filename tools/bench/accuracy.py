@@ -72,7 +72,7 @@ def phasor(histogram: NDArray[np.uint32], calibration: hf.Calibration) -> Estima
 CONTENDERS: dict[str, Estimator] = {
     "joint": joint,
     "joint, no skips": joint_with(NO_SKIPS),
-    "joint, rough bins first": joint_with(Skips(switches=FitOptions(rough=True))),
+    "joint, rough bins first": joint_with(Skips(switches=FitOptions(wide_first=True))),
     "joint, no posterior": joint_with(Skips(switches=FitOptions(posterior=False))),
     "joint, until 3 cm": joint_with(Skips(depth_target=0.03)),
     "paper": paper,

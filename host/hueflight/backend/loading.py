@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from types import MappingProxyType, ModuleType
 
+from hueflight.backend import fit, ingest, pooled
+from hueflight.backend.interface import Interface
 from hueflight.errors import KernelError
 
 VARIABLE = "HUEFLIGHT_KERNELS"
@@ -27,11 +30,14 @@ class Kernel:
         Modules that hold the same functions for different processors, the fastest first. If there
         are several, the last one runs on every processor, and its function ``processor()`` tells
         how many of the faster ones this processor supports.
+    interface : Interface
+        What C and Python agree on.
     """
 
     name: str
     purpose: str
     builds: tuple[str, ...]
+    interface: Interface
 
 
 #: every kernel, by name
@@ -39,16 +45,23 @@ KERNELS = MappingProxyType(
     {
         kernel.name: kernel
         for kernel in (
-            Kernel("ingest", "packets to histograms", ("hueflight.ingest._kernels",)),
+            Kernel(
+                "ingest",
+                "packets to histograms",
+                ("hueflight.ingest._kernels",),
+                ingest.INTERFACE,
+            ),
             Kernel(
                 "fit",
                 "joint fit and correlation",
                 tuple(f"hueflight.fit._kernels{level}" for level in ("_v4", "_v3", "")),
+                fit.INTERFACE,
             ),
             Kernel(
                 "pooled",
                 "adaptive neighbourhoods",
                 ("hueflight.reconstruction.pooled._kernels",),
+                pooled.INTERFACE,
             ),
         )
     }
@@ -181,19 +194,32 @@ def _described(name: str) -> str:
 @cache
 def _load(name: str) -> _Loaded:
     """Load the fastest build of a kernel that this processor runs."""
-    builds = KERNELS[name].builds
+    kernel = KERNELS[name]
+    import_module(kernel.builds[-1].rpartition(".")[0])  # errors of the package are its own
     try:
-        base = import_module(builds[-1])
+        base = import_module(kernel.builds[-1])
     except ImportError as error:
         return _Loaded(
             None,
-            f"{builds[-1]} was not compiled ({error}): install the package again where there is a "
-            f"C compiler, or set {VARIABLE}=numpy to go on without",
+            f"{kernel.builds[-1]} was not compiled ({error}): install the package again where "
+            f"there is a C compiler, or set {VARIABLE}=numpy to go on without",
         )
-    faster = base.processor() if len(builds) > 1 else 0
-    for build in builds[len(builds) - 1 - faster : -1]:
-        try:
-            return _Loaded(import_module(build))
-        except ImportError:  # the compiler did not know this processor
-            continue
-    return _Loaded(base)
+    chosen, others = base, kernel.builds[:-1]
+    if others and _matches(base, kernel.interface):
+        for build in others[len(others) - base.processor() :]:
+            with suppress(ImportError):  # the compiler did not know this processor
+                chosen = import_module(build)
+                break
+    if _matches(chosen, kernel.interface):
+        return _Loaded(chosen)
+    return _Loaded(
+        None,
+        f"{chosen.__name__} was built from other sources than the installed Python code (interface "
+        f"{getattr(chosen, 'ABI', 'unknown')}, not {kernel.interface.hash}): install the package "
+        f"again, or set {VARIABLE}=numpy to go on without",
+        broken=True,
+    )
+
+
+def _matches(module: ModuleType, interface: Interface) -> bool:
+    return getattr(module, "ABI", None) == interface.hash

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.backend.fit import REFERENCE_MULTIPLE
 from hueflight.fit.reference import FLOOR_PHOTONS, FLOOR_SHARE, Fit, by_phase
 from hueflight.fit.tables import ModelTables
 
-ROOM = 16  #: memories are made up to whole multiples of this many bins, for vectors
 
-
-def remembered(
-    light: NDArray[Any], found: Fit, offsets_ns: NDArray[np.float64], plan: ModelTables
+def change_reference(
+    light: NDArray[Any], found: Fit, offsets_ns: NDArray[np.float64], tables: ModelTables
 ) -> NDArray[np.float32]:
     """What changes are told by: (pixel, 2, room).
 
@@ -32,10 +31,12 @@ def remembered(
     found : fit of the pixels.
     offsets_ns : (pixel,) delay that belongs to the pixel.
     """
-    level = plan.rough
-    counts = _wide_sums(light, plan)
+    level = tables.wide
+    counts = _wide_sums(light, tables)
     bins = counts.shape[1]
-    memory = np.zeros((len(counts), 2, -(-bins // ROOM) * ROOM), np.float32)
+    memory = np.zeros(
+        (len(counts), 2, -(-bins // REFERENCE_MULTIPLE) * REFERENCE_MULTIPLE), np.float32
+    )
     memory[:, 0, :bins] = counts
     amplitudes = np.maximum(found.amplitudes, 0)
     background = np.maximum(found.background, FLOOR_PHOTONS + FLOOR_SHARE * counts.sum(axis=-1))
@@ -45,41 +46,41 @@ def remembered(
     return memory
 
 
-def contrasts(
+def change_significance(
     now: NDArray[Any],
     memory: NDArray[np.float32],
     scales: NDArray[np.float64],
     delays_ns: NDArray[np.float64],
-    plan: ModelTables,
+    tables: ModelTables,
 ) -> NDArray[np.float64]:
     """Greatest contrast (pixel,) in standard deviations.
 
     Parameters
     ----------
     now : (pixel, bin) counts.
-    memory : (pixel, 2, room) of the pixels as they were; see `remembered`.
+    memory : (pixel, 2, room) of the pixels as they were; see `change_reference`.
     scales : (pixel,) exposures now per exposure then.
     delays_ns : (pixel,) that were found, with what belongs to the pixel.
     """
-    coarse = plan.coarse
-    a = _wide_sums(now, plan)
+    search = tables.search
+    a = _wide_sums(now, tables)
     b, steep = np.asarray(memory[:, :, : a.shape[1]], np.float64).swapaxes(0, 1)
     gap = a - scales[:, None] * b
     size = a + scales[:, None] ** 2 * b  # variance of a gap
     most = _ratio(gap.sum(axis=-1), size.sum(axis=-1))
     along, across = (steep * gap).sum(axis=-1), (steep**2 * size).sum(axis=-1)
     most = np.maximum(most, _ratio(along, across))
-    nearest = np.abs(coarse.lags_ns - delays_ns[:, None]).argmin(axis=-1)
+    nearest = np.abs(search.lags_ns - delays_ns[:, None]).argmin(axis=-1)
     for lag, chosen in by_phase(nearest):
-        zones = coarse.zones[:, :, lag].T
+        zones = search.zones[:, :, lag].T
         ratio = _ratio(gap[chosen] @ zones, size[chosen] @ zones)
         most[chosen] = np.maximum(most[chosen], ratio.max(axis=-1))
     return np.sqrt(most)
 
 
-def _wide_sums(light: NDArray[Any], plan: ModelTables) -> NDArray[np.float64]:
+def _wide_sums(light: NDArray[Any], tables: ModelTables) -> NDArray[np.float64]:
     """Counts (pixel, wide bin)."""
-    return plan.coarse.summed(plan.fine.summed(np.asarray(light, np.float64)))
+    return tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
 
 
 def _ratio(gap: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from hueflight.backend.fit import CENTROID_ROUNDS
+
 
 def correlate(
     image: NDArray[np.floating], reference: NDArray[np.floating], max_lag: int
@@ -33,7 +35,11 @@ def correlate(
 
 
 def peak_centroid(
-    correlation: NDArray[np.floating], *, search: int, half_width: float, rounds: int = 3
+    correlation: NDArray[np.floating],
+    *,
+    search: int,
+    half_width: float,
+    rounds: int = CENTROID_ROUNDS,
 ) -> NDArray[np.float64]:
     """Centroid of the middle peak, in bins, shape (pixel,).
 

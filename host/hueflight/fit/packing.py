@@ -1,20 +1,20 @@
-"""A plan's tables as the compiled kernel reads them: flat arrays, in vectors of bins or of lags."""
+"""Tables of the fit as the compiled kernel reads them: flat arrays in vectors of bins or lags."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.fit import reference as fit
-from hueflight.fit.tables import BACKGROUND_SHARES, Level, ModelTables, SearchTables
-
-MOST_BANDS = 30  #: that the kernel has room for
+from hueflight.backend.fit import FIT_RULES, TABLE_SIZES
+from hueflight.fit import reference
+from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables, SearchTables
 
 
 @dataclass(frozen=True, eq=False)
-class PackedLevel:
+class PackedDelays:
     """Tables of one bin width, in blocks of as many bins as a vector has lanes.
 
     Attributes
@@ -40,6 +40,10 @@ class PackedLevel:
     meets: NDArray[np.int32]
     meetings: NDArray[np.int32]
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by name."""
+        return _arrays(self)
+
 
 @dataclass(frozen=True, eq=False)
 class PackedSearch:
@@ -63,61 +67,126 @@ class PackedSearch:
     widths: NDArray[np.float32]
     shares: NDArray[np.float32]
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by name."""
+        return _arrays(self)
+
+
+def _arrays(packed: PackedDelays | PackedSearch) -> dict[str, NDArray[Any]]:
+    values = {field.name: getattr(packed, field.name) for field in fields(packed)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+
 
 @dataclass(frozen=True, eq=False)
 class PackedTables:
-    """All that the kernel is given of a plan, but for the rules that may be switched."""
+    """Tables of the fit as the kernel reads them."""
 
-    fine: PackedLevel
-    rough: PackedLevel
-    coarse: PackedSearch
+    fine: PackedDelays
+    wide: PackedDelays
+    search: PackedSearch
 
 
-def pack(plan: ModelTables, lanes: int, *, skip_dark: bool = True) -> PackedTables:
-    """Tables of a plan for a kernel with vectors of so many lanes.
+def pack(tables: ModelTables, lanes: int, *, skip_dark: bool = True) -> PackedTables:
+    """Tables for a kernel with vectors of so many lanes.
 
     Parameters
     ----------
     skip_dark : a band's blocks of bins in which its pulse is not are left out; the results are
         the same.
     """
-    fine = _level(plan.fine, lanes, skip_dark=skip_dark)
-    rough = fine if plan.rough is plan.fine else _level(plan.rough, lanes, skip_dark=skip_dark)
-    return PackedTables(fine=fine, rough=rough, coarse=_coarse(plan.coarse, lanes))
+    fine = _level(tables.fine, lanes, skip_dark=skip_dark)
+    wide = fine if tables.wide is tables.fine else _level(tables.wide, lanes, skip_dark=skip_dark)
+    return PackedTables(fine=fine, wide=wide, search=_search_tables(tables.search, lanes))
 
 
-def rules(
-    plan: ModelTables, packed: PackedTables, switches: fit.FitOptions
-) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Sizes and constants in the order in which the kernel reads them."""
-    fine, rough, coarse = plan.fine, plan.rough, plan.coarse
-    integers = [
-        plan.bands,
-        len(plan.views),
-        plan.fine_factor,
-        sum(view.bins.count for view in plan.views),
-        *(fine.widths.size, packed.fine.blocks, len(fine.shares)),
-        *(rough.widths.size, packed.rough.blocks, len(rough.shares)),
-        *(plan.coarse_factor, coarse.widths.size, coarse.lags_ns.size, coarse.separation),
-        *(fit.MOST_STEPS, fit.NODES, fit.LIKELIHOOD_ROUNDS),
-        *(switches.starts_rough and rough is not fine, switches.settle, switches.posterior),
-        fit.FEW_STEPS,
-    ]
-    lag_ns = coarse.lags_ns[1] - coarse.lags_ns[0] if coarse.lags_ns.size > 1 else 1.0
-    reals = [
-        *(fine.first_ns, fine.phase_ns, rough.first_ns, rough.phase_ns),
-        *(coarse.lags_ns[0], lag_ns),
-        *BACKGROUND_SHARES,
-        *np.log(BACKGROUND_SHARES),
-        *(fit.SETTLED, fit.FLOOR_PHOTONS, fit.FLOOR_SHARE, fit.RIDGE),
-        *(fit.MARGIN, fit.AMBIGUOUS, fit.FEW_PHOTONS, fit.NODE_SPACING),
-        *(plan.spread_ns, *plan.search_ns, switches.target_ns, fit.RASTER, fit.DARK_WIDTH),
-        *(fit.SETTLED_AMPLITUDE, fit.POSTERIOR_PHOTONS),
-    ]
-    return np.array(integers, np.int32), np.array(reals, np.float32)
+def sizes(tables: ModelTables, packed: PackedTables) -> NDArray[np.void]:
+    """Return the sizes and scales of tables as the kernel reads them.
+
+    Parameters
+    ----------
+    tables : ModelTables
+        The tables.
+    packed : PackedTables
+        The same tables, packed.
+
+    Returns
+    -------
+    ndarray of void, shape (1,)
+        A `TableSizes` record.
+    """
+    search = tables.search
+    lags_ns = search.lags_ns
+    return TABLE_SIZES.pack(
+        bands=tables.bands,
+        views=len(tables.views),
+        sensor_bins=sum(view.bins.count for view in tables.views),
+        fine_factor=tables.fine_factor,
+        wide_factor=tables.wide_factor,
+        **_level_sizes("fine", tables.fine, packed.fine),
+        **_level_sizes("wide", tables.wide, packed.wide),
+        search_bins=search.widths.size,
+        lags=lags_ns.size,
+        separation=search.separation,
+        first_lag_ns=lags_ns[0],
+        lag_ns=lags_ns[1] - lags_ns[0] if lags_ns.size > 1 else 1.0,
+    )
 
 
-def _level(level: Level, lanes: int, *, skip_dark: bool) -> PackedLevel:
+def _level_sizes(name: str, level: DelayTables, packed: PackedDelays) -> dict[str, float]:
+    return {
+        f"{name}_bins": level.widths.size,
+        f"{name}_blocks": packed.blocks,
+        f"{name}_phases": len(level.shares),
+        f"{name}_first_ns": level.first_ns,
+        f"{name}_phase_ns": level.phase_ns,
+    }
+
+
+def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void]:
+    """Return the constants of the fit and its options as the kernel reads them.
+
+    Parameters
+    ----------
+    tables : ModelTables
+        Tables of the fit.
+    options : FitOptions
+        What the fit may leave out.
+
+    Returns
+    -------
+    ndarray of void, shape (1,)
+        A `FitRules` record.
+    """
+    return FIT_RULES.pack(
+        background_shares=BACKGROUND_SHARES,
+        background_logs=np.log(BACKGROUND_SHARES),
+        steps=reference.MOST_STEPS,
+        few_steps=reference.FEW_STEPS,
+        nodes=reference.NODES,
+        rounds=reference.LIKELIHOOD_ROUNDS,
+        settled=reference.SETTLED,
+        settled_amplitude=reference.SETTLED_AMPLITUDE,
+        floor_photons=reference.FLOOR_PHOTONS,
+        floor_share=reference.FLOOR_SHARE,
+        dark_width=reference.DARK_WIDTH,
+        ridge=reference.RIDGE,
+        margin=reference.MARGIN,
+        raster=reference.RASTER,
+        ambiguous=reference.AMBIGUOUS,
+        few_photons=reference.FEW_PHOTONS,
+        posterior_photons=reference.POSTERIOR_PHOTONS,
+        node_spacing=reference.NODE_SPACING,
+        spread_ns=tables.spread_ns,
+        low_ns=tables.search_ns[0],
+        high_ns=tables.search_ns[1],
+        target_ns=options.target_ns,
+        starts_wide=options.starts_wide and tables.wide is not tables.fine,
+        settle=options.settle,
+        posterior=options.posterior,
+    )
+
+
+def _level(level: DelayTables, lanes: int, *, skip_dark: bool) -> PackedDelays:
     phases, bands, bins = level.shares.shape
     blocks = -(-bins // lanes)
     room = blocks * lanes - bins
@@ -145,7 +214,7 @@ def _level(level: Level, lanes: int, *, skip_dark: bool) -> PackedLevel:
     met, lengths = _runs(both)  # phase, pair, first block
     phase, pair, block = met.T
     one, other = (row[phase, pairs[pair, side], block] for side in (0, 1))
-    return PackedLevel(
+    return PackedDelays(
         blocks=blocks,
         widths=widths,
         places=np.searchsorted(runs[:, 0], np.arange(phases + 1)).astype(np.int32),
@@ -168,13 +237,13 @@ def _runs(lit: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, end[:, -1] - first[:, -1]
 
 
-def _coarse(coarse: SearchTables, lanes: int) -> PackedSearch:
-    ratios, bands, bins, lags = coarse.gains.shape
+def _search_tables(search: SearchTables, lanes: int) -> PackedSearch:
+    ratios, bands, bins, lags = search.gains.shape
     blocks = -(-lags // lanes)
     room = blocks * lanes - lags
-    gains = np.pad(coarse.gains, ((0, 0), (0, 0), (0, 0), (0, room)))
+    gains = np.pad(search.gains, ((0, 0), (0, 0), (0, 0), (0, room)))
     gains = gains.reshape(ratios, bands, bins, blocks, lanes)
-    costs = np.pad(coarse.costs, ((0, 0), (0, 0), (0, room)))
+    costs = np.pad(search.costs, ((0, 0), (0, 0), (0, room)))
     costs = costs.reshape(ratios, bands, blocks, lanes).transpose(2, 1, 0, 3)
     spans = np.zeros((blocks, bands, 3), np.int32)
     pieces, place = [], 0
@@ -190,7 +259,7 @@ def _coarse(coarse: SearchTables, lanes: int) -> PackedSearch:
     places, runs = [0], []
     for lag in range(lags):
         for band in range(bands):
-            zone = np.flatnonzero(np.diff(np.pad(coarse.zones[band, :, lag], 1)))
+            zone = np.flatnonzero(np.diff(np.pad(search.zones[band, :, lag], 1)))
             runs += [(band, first, last) for first, last in zone.reshape(-1, 2)]
         places.append(len(runs))
     return PackedSearch(
@@ -199,6 +268,6 @@ def _coarse(coarse: SearchTables, lanes: int) -> PackedSearch:
         costs=np.ascontiguousarray(costs),
         places=np.array(places, np.int32),
         runs=np.array(runs, np.int16).reshape(-1, 3),
-        widths=np.ascontiguousarray(coarse.zone_widths.T),
-        shares=np.ascontiguousarray(coarse.zone_shares.T),
+        widths=np.ascontiguousarray(search.zone_widths.T),
+        shares=np.ascontiguousarray(search.zone_shares.T),
     )

@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.fit.tables import BACKGROUND_SHARES, Level, ModelTables, SearchTables
+from hueflight.backend.fit import LEAST_AMPLITUDE, LEAST_SHARE
+from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables, SearchTables
 
 MOST_STEPS = 6  #: of scoring at the full bin width
 SETTLED = 0.3  #: a delay that moves by less than this share of its deviation has settled
@@ -52,21 +53,21 @@ class FitOptions:
 
     Attributes
     ----------
-    rough : scoring begins at the bins of the search; with a `target_ns` it always does.
+    wide_first : scoring begins at the bins of the search; with a `target_ns` it always does.
     settle : scoring ends when a delay has settled (else all steps are taken).
     posterior : the fewest photons get the posterior stage (else the correction only).
-    target_ns : scoring ends after the rough bins where the deviation is below this already.
+    target_ns : scoring ends after the wide bins where the deviation is below this already.
     """
 
-    rough: bool = False
+    wide_first: bool = False
     settle: bool = True
     posterior: bool = True
     target_ns: float = 0.0
 
     @property
-    def starts_rough(self) -> bool:
+    def starts_wide(self) -> bool:
         """Whether there is a step at the bins of the search."""
-        return self.rough or self.target_ns > 0
+        return self.wide_first or self.target_ns > 0
 
 
 DEFAULT = FitOptions()
@@ -92,6 +93,10 @@ class Fit:
     amplitude_std: NDArray[np.float64]
     background: NDArray[np.float64]
     steps: NDArray[np.uint8]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by name."""
+        return {name: getattr(self, name) for name in Fit.__dataclass_fields__}
 
     def take(self, chosen: NDArray[Any] | slice) -> Fit:
         """Some of the pixels."""
@@ -139,8 +144,8 @@ class _State:
 def fit(
     light: NDArray[np.floating],
     offsets_ns: NDArray[np.float64],
-    plan: ModelTables,
-    switches: FitOptions = DEFAULT,
+    tables: ModelTables,
+    options: FitOptions = DEFAULT,
 ) -> Fit:
     """Fit every pixel.
 
@@ -149,38 +154,40 @@ def fit(
     light : (pixel, bin) counts in time order, all views side by side, at least one count each.
     offsets_ns : (pixel,) delay that belongs to the pixel, not to the scene.
     """
-    counts = plan.fine.summed(np.asarray(light, np.float64))
+    counts = tables.fine.summed(np.asarray(light, np.float64))
     total = counts.sum(axis=-1)
-    low, high = (offsets_ns + bound for bound in plan.search_ns)
-    score, share = _search(counts, total, plan.coarse, low, high)
-    best, second = _two_best(score, plan.coarse.separation)
-    state, steps = _scored(counts, total, best, score, share, low, high, plan, switches)
+    low, high = (offsets_ns + bound for bound in tables.search_ns)
+    score, share = _search(counts, total, tables.search, low, high)
+    best, second = _two_best(score, tables.search.separation)
+    state, steps = _scored(counts, total, best, score, share, low, high, tables, options)
     other = np.full(len(counts), np.nan)
     rows = np.arange(len(counts))
-    rival = (second >= 0) & (score[rows, best] - score[rows, second] < MARGIN + RASTER * total)
-    if rival.any():
-        here = np.flatnonzero(rival)
+    alternative = (second >= 0) & (
+        score[rows, best] - score[rows, second] < MARGIN + RASTER * total
+    )
+    if alternative.any():
+        here = np.flatnonzero(alternative)
         args = (counts[here], total[here], second[here], score[here], share[here])
-        rivals, _ = _scored(*args, low[here], high[here], plan, switches)
+        alternatives, _ = _scored(*args, low[here], high[here], tables, options)
         mine = state.take(here)
-        lead = _log_likelihood(counts[here], total[here], mine, plan.fine) - _log_likelihood(
-            counts[here], total[here], rivals, plan.fine
+        lead = _log_likelihood(counts[here], total[here], mine, tables.fine) - _log_likelihood(
+            counts[here], total[here], alternatives, tables.fine
         )
-        apart = np.abs(mine.delay - rivals.delay) > 3 * np.sqrt(mine.covariance[:, -1, -1])
+        apart = np.abs(mine.delay - alternatives.delay) > 3 * np.sqrt(mine.covariance[:, -1, -1])
         lead[~apart] = np.inf  # both found the same maximum
         worse = lead < 0
-        other[here] = np.where(np.abs(lead) < AMBIGUOUS, rivals.delay, np.nan)
+        other[here] = np.where(np.abs(lead) < AMBIGUOUS, alternatives.delay, np.nan)
         other[here[worse]] = np.where(np.abs(lead) < AMBIGUOUS, mine.delay, np.nan)[worse]
-        state.put(here[worse], rivals.take(worse))
+        state.put(here[worse], alternatives.take(worse))
     variance = state.covariance[:, -1, -1].copy()
     delay = state.delay + variance**2 * state.cubic / 4
-    if switches.posterior:
-        few = np.flatnonzero(variance > plan.spread_ns**2 / POSTERIOR_PHOTONS)
+    if options.posterior:
+        few = np.flatnonzero(variance > tables.spread_ns**2 / POSTERIOR_PHOTONS)
         if few.size:
             delay[few], variance[few] = _posterior(
-                counts[few], total[few], state.take(few), plan.fine
+                counts[few], total[few], state.take(few), tables.fine
             )
-    bands = plan.bands
+    bands = tables.bands
     # what the parameters themselves took out of the photons
     variance *= 1 + (bands + 2) / total
     # a count's posterior is half a photon wider than the count (Jeffreys' prior)
@@ -202,27 +209,27 @@ def fit(
 def _search(
     counts: NDArray[np.float64],
     total: NDArray[np.float64],
-    coarse: SearchTables,
+    search: SearchTables,
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Log-likelihood (pixel, lag) but for a constant, and the background's share at it."""
-    grouped = coarse.summed(counts)
-    ratios, bands, _, lags = coarse.gains.shape
+    grouped = search.summed(counts)
+    ratios, bands, _, lags = search.gains.shape
     best = np.full((len(counts), lags), -np.inf)
     share = np.zeros_like(best)
     parts = np.stack(
-        [[grouped @ coarse.gains[r, k] for k in range(bands)] for r in range(ratios)]
+        [[grouped @ search.gains[r, k] for k in range(bands)] for r in range(ratios)]
     )  # ratio, band, pixel, lag
     for tried in BACKGROUND_SHARES:
         background = (tried * total)[:, None]
-        gained = parts - background * coarse.costs[:, :, None, :]
+        gained = parts - background * search.costs[:, :, None, :]
         score = np.maximum(gained.max(axis=0), 0).sum(axis=0)
         score += total[:, None] * np.log(tried) - background
         share = np.where(score > best, tried, share)
         best = np.maximum(best, score)
-    half = np.diff(coarse.lags_ns).mean() / 2 if lags > 1 else np.inf
-    outside = (coarse.lags_ns < low[:, None] - half) | (coarse.lags_ns > high[:, None] + half)
+    half = np.diff(search.lags_ns).mean() / 2 if lags > 1 else np.inf
+    outside = (search.lags_ns < low[:, None] - half) | (search.lags_ns > high[:, None] + half)
     best[outside] = -np.inf
     return best, share
 
@@ -245,7 +252,7 @@ def _start(
     lag: NDArray[np.intp],
     score: NDArray[np.float64],
     share: NDArray[np.float64],
-    coarse: SearchTables,
+    search: SearchTables,
 ) -> _State:
     """Delay from a parabola through three lags, amplitudes from the bands' zones.
 
@@ -259,21 +266,21 @@ def _start(
         shift = 0.5 * (left - right) / bend
     inner = (lag > 0) & (lag < last) & np.isfinite(shift) & (bend < 0)
     shift = np.where(inner, np.clip(shift, -0.5, 0.5), 0.0)
-    step_ns = coarse.lags_ns[1] - coarse.lags_ns[0] if last > 0 else 0.0
-    grouped = coarse.summed(counts)
-    zones = coarse.zones.transpose(2, 0, 1)  # lag, band, bin
+    step_ns = search.lags_ns[1] - search.lags_ns[0] if last > 0 else 0.0
+    grouped = search.summed(counts)
+    zones = search.zones.transpose(2, 0, 1)  # lag, band, bin
     inside = np.empty((len(counts), zones.shape[1]))
     for value in np.unique(lag):
         chosen = lag == value
         inside[chosen] = grouped[chosen] @ zones[value].T
-    widths, shares = coarse.zone_widths.T[lag], coarse.zone_shares.T[lag]
+    widths, shares = search.zone_widths.T[lag], search.zone_shares.T[lag]
     dark_width = 1 - widths.sum(axis=-1)
     dark = (total - inside.sum(axis=-1)) / np.maximum(dark_width, DARK_WIDTH)
     background = np.where(dark_width > DARK_WIDTH, dark, share[rows, lag] * total)
-    amplitudes = (inside - background[:, None] * widths) / np.maximum(shares, 1e-3)
+    amplitudes = (inside - background[:, None] * widths) / np.maximum(shares, LEAST_SHARE)
     size = zones.shape[1] + 2
     return _State(
-        delay=coarse.lags_ns[lag] + shift * step_ns,
+        delay=search.lags_ns[lag] + shift * step_ns,
         amplitudes=np.maximum(amplitudes, 0),
         background=background,
         covariance=np.zeros((len(counts), size, size)),
@@ -292,34 +299,34 @@ def _scored(
     share: NDArray[np.float64],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
-    plan: ModelTables,
-    switches: FitOptions,
+    tables: ModelTables,
+    options: FitOptions,
 ) -> tuple[_State, NDArray[np.uint8]]:
     """Maximum of the likelihood near a lag, and the steps it took."""
-    state = _start(counts, total, lag, score, share, plan.coarse)
+    state = _start(counts, total, lag, score, share, tables.search)
     widest = 1 / (high - low) ** 2 * 12  # of a delay that may be anywhere
     steps = np.zeros(len(counts), np.uint8)
     active = np.arange(len(counts))
-    if switches.starts_rough and plan.rough is not plan.fine:
-        grouped = plan.rough.summed(counts)
-        state = _step(grouped, total, state, plan.rough, low, high, widest, plan.spread_ns)
+    if options.starts_wide and tables.wide is not tables.fine:
+        grouped = tables.wide.summed(counts)
+        state = _step(grouped, total, state, tables.wide, low, high, widest, tables.spread_ns)
         deviation = np.sqrt(state.covariance[:, -1, -1])
-        active = np.flatnonzero(deviation > switches.target_ns)
+        active = np.flatnonzero(deviation > options.target_ns)
     for _ in range(MOST_STEPS):
         if not active.size:
             break
         before = state.take(active)
         limits = low[active], high[active], widest[active]
-        after = _step(counts[active], total[active], before, plan.fine, *limits, plan.spread_ns)
+        after = _step(counts[active], total[active], before, tables.fine, *limits, tables.spread_ns)
         state.put(active, after)
         steps[active] += 1
-        if switches.settle:
+        if options.settle:
             deviations = np.sqrt(np.einsum("paa->pa", after.covariance))
             moved = np.abs(after.delay - before.delay) / (SETTLED * deviations[:, -1])
             changes = np.abs(after.amplitudes - before.amplitudes)
-            changes /= SETTLED_AMPLITUDE * deviations[:, : plan.bands]
+            changes /= SETTLED_AMPLITUDE * deviations[:, : tables.bands]
             variance = deviations[:, -1] ** 2
-            few = (variance > plan.spread_ns**2 / FEW_PHOTONS) & (steps[active] < FEW_STEPS)
+            few = (variance > tables.spread_ns**2 / FEW_PHOTONS) & (steps[active] < FEW_STEPS)
             active = active[(moved > 1) | (changes > 1).any(axis=-1) | few]
     return state, steps
 
@@ -328,7 +335,7 @@ def _step(
     counts: NDArray[np.float64],
     total: NDArray[np.float64],
     state: _State,
-    level: Level,
+    level: DelayTables,
     low: NDArray[np.float64],
     high: NDArray[np.float64],
     widest: NDArray[np.float64],
@@ -391,11 +398,11 @@ def by_phase(phase: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
 
 
 def _log_likelihood(
-    counts: NDArray[np.float64], total: NDArray[np.float64], state: _State, level: Level
+    counts: NDArray[np.float64], total: NDArray[np.float64], state: _State, level: DelayTables
 ) -> NDArray[np.float64]:
     """Greatest log-likelihood at a delay with no amplitude below 0, but for a constant."""
     result = np.empty(len(counts))
-    amplitudes = np.maximum(state.amplitudes, 0.002 * total[:, None])
+    amplitudes = np.maximum(state.amplitudes, LEAST_AMPLITUDE * total[:, None])
     background = np.maximum(state.background, FLOOR_PHOTONS + FLOOR_SHARE * total)
     for value, chosen in by_phase(level.phase_of(state.delay)):
         linear = np.vstack([level.shares[value], level.widths]).astype(np.float64)
@@ -409,7 +416,7 @@ def _log_likelihood(
 
 
 def _posterior(
-    counts: NDArray[np.float64], total: NDArray[np.float64], state: _State, level: Level
+    counts: NDArray[np.float64], total: NDArray[np.float64], state: _State, level: DelayTables
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean and variance of the delay under the likelihood around its maximum.
 

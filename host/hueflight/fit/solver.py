@@ -1,6 +1,6 @@
 """The joint fit, compiled where it could be: one function, checked here, the same either way.
 
-The compiled kernel is taken where it was built and has room for the plan's bands; see
+The compiled kernel is taken where it was built and has room for the tables's bands; see
 `hueflight.backend`.
 """
 
@@ -14,10 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight import backend
+from hueflight.backend.fit import (
+    CHANGE_REFERENCE,
+    CHANGE_SIGNIFICANCE,
+    FIT,
+    MOST_BANDS,
+    REFERENCE_MULTIPLE,
+    SUMS,
+)
 from hueflight.errors import HueflightError, KernelError
-from hueflight.fit import change_detection as changes
+from hueflight.fit import change_detection
 from hueflight.fit import reference as definition
-from hueflight.fit.packing import MOST_BANDS, PackedLevel, PackedTables, pack, rules
+from hueflight.fit.packing import PackedDelays, PackedSearch, PackedTables, pack, rules, sizes
 from hueflight.fit.reference import DEFAULT, Fit, FitOptions, no_fit
 from hueflight.fit.tables import ModelTables
 from hueflight.model.pileup import NEGLIGIBLE, coates_correction
@@ -32,15 +40,15 @@ _packed: WeakKeyDictionary[ModelTables, PackedTables] = WeakKeyDictionary()
 class _Kernel(Protocol):
     LANES: int
 
-    def fit(self, *buffers: Any) -> None: ...
+    def fit(self, *buffers: NDArray[Any]) -> None: ...
 
-    def contrasts(self, *buffers: Any) -> None: ...
+    def change_reference(self, *buffers: NDArray[Any]) -> None: ...
 
-    def remember(self, *buffers: Any) -> None: ...
+    def change_significance(self, *buffers: NDArray[Any]) -> None: ...
 
-    def sums(self, *buffers: Any) -> None: ...
+    def sums(self, *buffers: NDArray[Any]) -> None: ...
 
-    def correlations(self, *buffers: Any) -> None: ...
+    def correlations(self, *buffers: NDArray[Any]) -> None: ...
 
 
 def compiled_kernel(bands: int = 1) -> _Kernel | None:
@@ -74,8 +82,8 @@ def compiled_kernel(bands: int = 1) -> _Kernel | None:
 def fit_pixels(
     light: NDArray[Any],
     offsets_ns: NDArray[np.float64],
-    plan: ModelTables,
-    switches: FitOptions = DEFAULT,
+    tables: ModelTables,
+    options: FitOptions = DEFAULT,
     *,
     pixels: NDArray[np.int64] | None = None,
     per_period: NDArray[np.float64] | None = None,
@@ -92,30 +100,32 @@ def fit_pixels(
         exposure hides some: undone on the way, see `pileup.coates_correction`.
     threads : that share the pixels, tile by tile; the result does not depend on it.
     """
-    bins = sum(view.bins.count for view in plan.views)
+    bins = sum(view.bins.count for view in tables.views)
     which = np.arange(len(light)) if pixels is None else np.ascontiguousarray(pixels, np.int64)
     if light.ndim != 2 or light.shape[1] != bins or offsets_ns.shape != which.shape:
         raise HueflightError(
-            f"light has shape {light.shape} and offsets {offsets_ns.shape}: the plan needs "
+            f"light has shape {light.shape} and offsets {offsets_ns.shape}: the tables needs "
             f"(pixel, {bins}) and ({which.size},)"
         )
     if per_period is not None and float(np.max(per_period, initial=0.0)) < NEGLIGIBLE:
         per_period = None
-    kernel = compiled_kernel(plan.bands)
+    kernel = compiled_kernel(tables.bands)
     if kernel is not None and light.dtype not in COUNT_TYPES:
         light = light.astype(np.float32)
 
-    found = no_fit(which.size, plan.bands)
+    found = no_fit(which.size, tables.bands)
 
     def fit_tile(tile: slice) -> None:
         rates = None if per_period is None else per_period[tile]
         into = found.take(tile)  # a view
         if kernel is not None:
-            _fit_compiled(kernel, light, which[tile], offsets_ns[tile], rates, plan, switches, into)
+            _fit_compiled(
+                kernel, light, which[tile], offsets_ns[tile], rates, tables, options, into
+            )
             return
         seen = light if pixels is None and len(which) <= TILE_PIXELS else light[which[tile]]
         found.put(
-            tile, definition.fit(coates_correction(seen, rates), offsets_ns[tile], plan, switches)
+            tile, definition.fit(coates_correction(seen, rates), offsets_ns[tile], tables, options)
         )
 
     starts = range(0, max(len(which), 1), TILE_PIXELS)
@@ -151,67 +161,75 @@ def survey(
     sums, inside = np.empty((2, len(counts)))
     full = np.empty(len(counts), np.uint8)
     span = np.array(lit.indices(counts.shape[1])[:2], np.int64)
-    kernel.sums(counts, np.arange(len(counts)), span, sums, inside, full)
+    pixels = np.arange(len(counts), dtype=np.int64)
+    kernel.sums(
+        *SUMS.arguments(counts=counts, pixels=pixels, span=span, all=sums, inside=inside, full=full)
+    )
     return sums, inside, full.astype(bool)
 
 
-def remembered(
+def change_reference(
     light: NDArray[Any],
     pixels: NDArray[np.int64],
     found: Fit,
     offsets_ns: NDArray[np.float64],
-    plan: ModelTables,
+    tables: ModelTables,
 ) -> NDArray[np.float32]:
-    """What changes of pixels are told by, `found` being their fit; see `changes.remembered`."""
-    kernel = compiled_kernel(plan.bands)
+    """Return what later counts are compared with; see `change_detection.change_reference`."""
+    kernel = compiled_kernel(tables.bands)
     if kernel is None or light.dtype not in COUNT_TYPES:
-        return changes.remembered(light[pixels], found, offsets_ns, plan)
-    packed = _packed_for(plan, kernel)
-    room = -(-plan.coarse.starts.size // changes.ROOM) * changes.ROOM
+        return change_detection.change_reference(light[pixels], found, offsets_ns, tables)
+    packed = _packed_for(tables, kernel)
+    room = -(-tables.search.starts.size // REFERENCE_MULTIPLE) * REFERENCE_MULTIPLE
     memory = np.empty((len(pixels), 2, room), np.float32)
-    kernel.remember(
-        light,
-        np.ascontiguousarray(pixels, np.int64),
-        (found.delay_ns + offsets_ns).astype(np.float32),
-        np.empty(0, np.float32),
-        *_plan_buffers(plan, packed, DEFAULT),
-        np.ascontiguousarray(found.amplitudes, np.float32),
-        found.background.astype(np.float32),
-        memory,
+    kernel.change_reference(
+        *CHANGE_REFERENCE.arguments(
+            counts=light,
+            pixels=np.ascontiguousarray(pixels, np.int64),
+            **_table_buffers(tables, packed, DEFAULT),
+            delays=(found.delay_ns + offsets_ns).astype(np.float32),
+            amplitudes=np.ascontiguousarray(found.amplitudes, np.float32),
+            background=found.background.astype(np.float32),
+            reference=memory,
+        )
     )
     return memory
 
 
-def contrasts(
+def change_significance(
     now: NDArray[Any],
     memory: NDArray[np.float32],
     pixels: NDArray[np.int64],
     scales: NDArray[np.float64],
     delays_ns: NDArray[np.float64],
-    plan: ModelTables,
+    tables: ModelTables,
 ) -> NDArray[np.float64]:
-    """How much some pixels have changed, `memory` being of all; see `changes.contrasts`."""
-    kernel = compiled_kernel(plan.bands)
+    """Return how much pixels have changed; see `change_detection.change_significance`."""
+    kernel = compiled_kernel(tables.bands)
     if kernel is None or now.dtype not in COUNT_TYPES:
-        return changes.contrasts(now[pixels], memory[pixels], scales, delays_ns, plan)
-    packed = _packed_for(plan, kernel)
+        return change_detection.change_significance(
+            now[pixels], memory[pixels], scales, delays_ns, tables
+        )
+    packed = _packed_for(tables, kernel)
     result = np.empty(len(pixels), np.float32)
-    kernel.contrasts(
-        now,
-        np.ascontiguousarray(pixels, np.int64),
-        delays_ns.astype(np.float32),
-        scales.astype(np.float32),
-        *_plan_buffers(plan, packed, DEFAULT),
-        memory,
-        result,
+    kernel.change_significance(
+        *CHANGE_SIGNIFICANCE.arguments(
+            counts=now,
+            pixels=np.ascontiguousarray(pixels, np.int64),
+            **_table_buffers(tables, packed, DEFAULT),
+            delays=delays_ns.astype(np.float32),
+            scales=scales.astype(np.float32),
+            reference=memory,
+            significance=result,
+        )
     )
     return result.astype(np.float64)
 
 
-def _packed_for(plan: ModelTables, kernel: _Kernel) -> PackedTables:
-    if plan not in _packed:
-        _packed[plan] = pack(plan, kernel.LANES)
-    return _packed[plan]
+def _packed_for(tables: ModelTables, kernel: _Kernel) -> PackedTables:
+    if tables not in _packed:
+        _packed[tables] = pack(tables, kernel.LANES)
+    return _packed[tables]
 
 
 def _fit_compiled(
@@ -220,38 +238,36 @@ def _fit_compiled(
     pixels: NDArray[np.int64],
     offsets_ns: NDArray[np.float64],
     per_period: NDArray[np.float64] | None,
-    plan: ModelTables,
-    switches: FitOptions,
+    tables: ModelTables,
+    options: FitOptions,
     into: Fit,
 ) -> None:
-    packed = _packed_for(plan, kernel)
+    packed = _packed_for(tables, kernel)
     rates = np.empty(0) if per_period is None else per_period
     kernel.fit(
-        light,
-        pixels,
-        offsets_ns.astype(np.float32),
-        rates.astype(np.float32),
-        *_plan_buffers(plan, packed, switches),
-        *(into.delay_ns, into.delay_std_ns, into.other_ns),
-        *(into.amplitudes, into.amplitude_std, into.background, into.steps),
+        *FIT.arguments(
+            counts=light,
+            pixels=pixels,
+            **_table_buffers(tables, packed, options),
+            offsets=offsets_ns.astype(np.float32),
+            rates=rates.astype(np.float32),
+            **into.arrays(),
+        )
     )
 
 
-def _plan_buffers(
-    plan: ModelTables, packed: PackedTables, switches: FitOptions
-) -> list[NDArray[Any]]:
-    integers, reals = rules(plan, packed, switches)
-    sizes = np.array([view.bins.count for view in plan.views], np.int32)
-    coarse = packed.coarse
-    return [
-        *(integers, reals, sizes),
-        *_buffers(packed.fine),
-        *_buffers(packed.rough),
-        *(coarse.spans, coarse.gains, coarse.costs),
-        *(coarse.places, coarse.runs, coarse.widths, coarse.shares),
-    ]
+def _table_buffers(
+    tables: ModelTables, packed: PackedTables, options: FitOptions
+) -> dict[str, NDArray[Any]]:
+    return {
+        "sizes": sizes(tables, packed),
+        "rules": rules(tables, options),
+        "view_bins": np.array([view.bins.count for view in tables.views], np.int32),
+        **_buffers("fine", packed.fine),
+        **_buffers("wide", packed.wide),
+        **_buffers("search", packed.search),
+    }
 
 
-def _buffers(level: PackedLevel) -> tuple[NDArray[Any], ...]:
-    tables = level.widths, level.places, level.runs, level.data
-    return *tables, level.pairs, level.meets, level.meetings
+def _buffers(prefix: str, tables: PackedDelays | PackedSearch) -> dict[str, NDArray[Any]]:
+    return {f"{prefix}_{name}": array for name, array in tables.arrays().items()}

@@ -21,7 +21,7 @@ from hueflight.model.waveforms import Templates
 
 PHASES_PER_FWHM = 50  #: delays in a table; the fit is linear between them
 FINE_BINS_PER_FWHM = 24  #: bins that are narrower are summed: pulses don't need them
-COARSE_BINS_PER_FWHM = 2.75  #: bins of the first search
+WIDE_BINS_PER_FWHM = 2.75  #: bins of the first search
 RATIOS = (3.0, 15.0, 75.0)  #: peak of a band over background that the first search tries
 BACKGROUND_SHARES = (0.05, 0.2, 0.5)  #: share of background among all counts that it tries
 CROP = 1e-7  #: a share below this part of a band's highest is taken for 0
@@ -38,7 +38,7 @@ class ScheduleView:
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class DelayTables:
     """Tables at one bin width.
 
     Attributes
@@ -78,7 +78,7 @@ class SearchTables:
 
     Attributes
     ----------
-    starts, widths : as in `Level`.
+    starts, widths : as in `DelayTables`.
     lags_ns : (lag,).
     gains : (ratio, band, bin, lag) log(1 + ρ·x).
     costs : (ratio, band, lag) ρ·Σ x w.
@@ -108,20 +108,20 @@ class ModelTables:
 
     Attributes
     ----------
-    fine, rough : tables at the bin width of the result and at that of the search.
-    coarse : tables of the first search.
+    fine, wide : tables at the bin width of the result and at that of the search.
+    search : tables of the first search.
     search_ns : least and greatest delay against the reference.
-    fine_factor, coarse_factor : bins that each one sums: the sensor's for the fine level, fine
+    fine_factor, wide_factor : bins that each one sums: the sensor's for the fine level, fine
         ones for the search.
     spread_ns : standard deviation that one photon of a white target leaves to its delay.
     views : the schedules it is for.
     """
 
-    coarse: SearchTables
-    rough: Level
-    fine: Level
+    search: SearchTables
+    wide: DelayTables
+    fine: DelayTables
     fine_factor: int
-    coarse_factor: int
+    wide_factor: int
     search_ns: tuple[float, float]
     spread_ns: float
     views: tuple[ScheduleView, ...]
@@ -152,24 +152,24 @@ def make_tables(
     """
     bin_ns = max(view.bins.span_ns / view.bins.count for view in views)
     fine = max(1, floor(shortest_fwhm_ns / FINE_BINS_PER_FWHM / bin_ns))
-    coarse = max(1, floor(shortest_fwhm_ns / COARSE_BINS_PER_FWHM / (bin_ns * fine)))
+    wide = max(1, floor(shortest_fwhm_ns / WIDE_BINS_PER_FWHM / (bin_ns * fine)))
     phase_ns = shortest_fwhm_ns / PHASES_PER_FWHM
     delays_ns = search_ns[0] + offsets_ns[0], search_ns[1] + offsets_ns[1]
     sensor_edges = [view.bins.edges_ns for view in views]
     fine_starts, fine_edges = _grouped(sensor_edges, fine)
     fine_level = _level(views, fine_starts, fine_edges, delays_ns, phase_ns)
     white = np.asarray(brightness, np.float64) / np.sum(brightness)
-    step_ns = coarse * fine * bin_ns
-    coarse_bins = _grouped(fine_edges, coarse)
-    rough_level = fine_level
-    if coarse > 1:
-        rough_level = _level(views, *coarse_bins, delays_ns, phase_ns)
+    step_ns = wide * fine * bin_ns
+    wide_bins = _grouped(fine_edges, wide)
+    wide_level = fine_level
+    if wide > 1:
+        wide_level = _level(views, *wide_bins, delays_ns, phase_ns)
     return ModelTables(
-        coarse=_coarse(views, *coarse_bins, delays_ns, step_ns, shortest_fwhm_ns, white),
-        rough=rough_level,
+        search=_search_tables(views, *wide_bins, delays_ns, step_ns, shortest_fwhm_ns, white),
+        wide=wide_level,
         fine=fine_level,
         fine_factor=fine,
-        coarse_factor=coarse,
+        wide_factor=wide,
         search_ns=search_ns,
         spread_ns=_spread(fine_level, white),
         views=tuple(views),
@@ -220,7 +220,7 @@ def _level(
     edges: list[NDArray],
     range_ns: tuple[float, float],
     phase_ns: float,
-) -> Level:
+) -> DelayTables:
     first, last = floor(range_ns[0] / phase_ns) - 1, ceil(range_ns[1] / phase_ns) + 1
     delays_ns = np.arange(first, last + 1) * np.float64(phase_ns)
     shares = _shares(views, edges, delays_ns)
@@ -235,7 +235,7 @@ def _level(
     empty = shares < CROP * shares.max(axis=(0, 2), keepdims=True)
     shares[empty] = 0.0
     slopes[empty] = 0.0
-    return Level(
+    return DelayTables(
         starts=starts,
         widths=_widths(views, edges).astype(np.float32),
         first_ns=float(delays_ns[0]),
@@ -245,7 +245,7 @@ def _level(
     )
 
 
-def _coarse(
+def _search_tables(
     views: Sequence[ScheduleView],
     starts: NDArray[np.intp],
     edges: list[NDArray],
@@ -280,7 +280,7 @@ def _coarse(
     )
 
 
-def _spread(level: Level, white: NDArray[np.float64]) -> float:
+def _spread(level: DelayTables, white: NDArray[np.float64]) -> float:
     """Root of the inverse information of one background-free photon about the delay, ns."""
     middle = len(level.shares) // 2
     mean = white @ level.shares[middle]

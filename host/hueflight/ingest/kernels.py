@@ -6,26 +6,30 @@ which of them is used.
 
 from __future__ import annotations
 
-from functools import cache
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hueflight import backend
-from hueflight.errors import KernelError
+from hueflight.backend.ingest import ADD, MOST_FRAMES, SATURATE, STORE, SUBTRACT, TILE
 from hueflight.ingest import numpy_kernels
-from hueflight.ingest.numpy_kernels import (
-    ADD,
-    MOST_FRAMES,
-    SATURATE,
-    STATE,
-    STORE,
-    SUBTRACT,
-    TILE,
-)
-from hueflight_protocol import wire
+from hueflight.ingest.numpy_scan import STATE
+
+__all__ = [
+    "ADD",
+    "MOST_FRAMES",
+    "SATURATE",
+    "STATE",
+    "STORE",
+    "SUBTRACT",
+    "TILE",
+    "Buffer",
+    "Kernels",
+    "Scanned",
+    "available",
+    "choose",
+]
 
 Buffer = bytes | bytearray | memoryview
 
@@ -106,41 +110,6 @@ class Kernels(Protocol):
         ...
 
 
-def _wire_constants() -> dict[str, int]:
-    """The numbers that the C source repeats, from the protocol's declarations."""
-    frame, trailer = wire.FRAME_HEADER, wire.FRAME_TRAILER
-    fields = ("type", "header_bytes", "length", "sequence", "timestamp", "frame", "dropped")
-    fields += ("rows", "cols", "run", "code_bits", "flags", "step", "capture")
-    return {f"AT_{name.upper()}": frame.offset(name) for name in fields} | {
-        "MAGIC": int.from_bytes(wire.MAGIC, "little"),
-        "VERSION": wire.VERSION,
-        "FRAME": int(wire.PacketType.FRAME),
-        "LAST_KNOWN_TYPE": int(max(wire.PacketType)),
-        "FRAME_HEADER": frame.size,
-        "FRAME_TRAILER": trailer.size,
-        "OTHER_HEADER": wire.PACKET_HEADER.size,
-        "OTHER_TRAILER": wire.PACKET_TRAILER.size,
-        "MAX_HEADER": wire.MAX_HEADER_BYTES,
-        "MAX_BODY": wire.MAX_BODY_BYTES,
-        "MAX_SIDE": max(wire.MAX_ROWS, wire.MAX_COLS),
-        "MAX_BITS": wire.MAX_CODE_BITS,
-        "MIN_RUN": wire.MIN_RUN,
-        "MAX_RUN": wire.MAX_RUN,
-        "MAX_CHUNKS": wire.MAX_CHUNKS,
-        "KNOWN_FLAGS": int(sum(wire.FrameFlags)),
-        "PAD": int(wire.ChunkKind.PAD),
-        "BITMAP": int(wire.ChunkKind.BITMAP),
-        "DENSE": int(wire.ChunkKind.DENSE),
-        "END": int(wire.ChunkKind.END),
-        "TILE": TILE,
-        "MOST_FRAMES": MOST_FRAMES,
-        "ADD": ADD,
-        "STORE": STORE,
-        "SATURATE": SATURATE,
-        "SUBTRACT": SUBTRACT,
-    }
-
-
 def available() -> dict[str, Kernels]:
     """Return the usable implementations by name.
 
@@ -176,16 +145,4 @@ def choose(name: str | None = None, /) -> Kernels:
     module = backend.compiled("ingest", name)
     if module is None:
         return cast("Kernels", numpy_kernels)
-    _check(module)
     return cast("Kernels", module)
-
-
-@cache  # takes longer than counting an empty frame
-def _check(module: ModuleType) -> None:
-    built = {name: getattr(module, name, None) for name in _wire_constants()}
-    stale = [name for name, value in _wire_constants().items() if built[name] != value]
-    if stale or tuple(module.STATE.split()) != STATE:
-        raise KernelError(
-            f"the compiled kernels were built from other sources ({', '.join(stale) or 'STATE'} "
-            "differ): install the package again, or set HUEFLIGHT_KERNELS=numpy"
-        )

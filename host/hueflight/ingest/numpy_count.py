@@ -11,14 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.backend.ingest import ADD, MOST_FRAMES, STORE, SUBTRACT, TILE
 from hueflight.ingest.numpy_frame_scan import HITS_SHIFT, KIND_SHIFT, bitmap_bytes
-from hueflight.ingest.numpy_scan import MOST_FRAMES
 from hueflight_protocol.wire import ChunkKind, dense_bytes
 
-TILE = 64  # pixels of a tile, which is added to the table as a whole or not at all
 SLACK = 8  # bytes that may be read past a payload: the trailer of its packet is longer
 AT_ONCE = 1 << 18  # pixels whose bitmaps are unpacked at once: a few MB, and few calls
-ADD, STORE, SATURATE, SUBTRACT = range(4)
 
 _Ints = NDArray[np.intp]
 

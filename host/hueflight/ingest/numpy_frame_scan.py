@@ -15,10 +15,10 @@ import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.backend.ingest import HITS_SHIFT, KIND_SHIFT
 from hueflight_protocol import wire
 from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER
 
-HITS_SHIFT, KIND_SHIFT = 32, 48  # an entry of the table of chunks: offset, hits, kind
 BATCH = 512  # frames scanned together, few enough that their bytes may still be in a cache
 _START = int.from_bytes(wire.MAGIC, "little") | (
     wire.VERSION << 32 | int(wire.PacketType.FRAME) << 40 | FRAME_HEADER.size << 48

@@ -1,6 +1,7 @@
 """The NumPy backend: `scan` and `count` with the signatures of the compiled module."""
 
-from hueflight.ingest.numpy_count import ADD, SATURATE, STORE, SUBTRACT, TILE, count
-from hueflight.ingest.numpy_scan import MOST_FRAMES, STATE, scan
+from hueflight.backend.ingest import ADD, MOST_FRAMES, SATURATE, STORE, SUBTRACT, TILE
+from hueflight.ingest.numpy_count import count
+from hueflight.ingest.numpy_scan import STATE, scan
 
 __all__ = ["ADD", "MOST_FRAMES", "SATURATE", "STATE", "STORE", "SUBTRACT", "TILE", "count", "scan"]

@@ -14,6 +14,7 @@ import google_crc32c
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.backend import ingest
 from hueflight.ingest.numpy_frame_scan import (
     HITS_SHIFT,
     KIND_SHIFT,
@@ -24,16 +25,11 @@ from hueflight.ingest.numpy_frame_scan import (
 from hueflight_protocol import wire
 from hueflight_protocol.wire import FRAME_HEADER, FRAME_TRAILER, PACKET_HEADER, PACKET_TRAILER
 
-STATE = (
-    *("in_step", "has_sequence", "sequence", "has_dropped", "capture", "last_dropped"),
-    *("packets", "frames", "aborted", "repeated", "foreign", "damaged", "skipped_bytes"),
-    *("missing", "restarts", "dropped", "dropped_before", "hits"),
-    *("foreign_rows", "foreign_cols", "foreign_bits"),
-    *("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost"),
-)
+STATE = ingest.STATE.names
 """Names of the state and totals that scanning carries, in the order of the array `state`."""
 
-MOST_FRAMES = 65535  # the largest value of the 16-bit counters of a tile
+MOST_FRAMES = ingest.MOST_FRAMES  # the largest value of the 16-bit counters of a tile
+
 
 _PAD, _DENSE, _END = int(wire.ChunkKind.PAD), int(wire.ChunkKind.DENSE), int(wire.ChunkKind.END)
 _FLAGS = ("masked", "roi", "gated", "saturated", "test_pattern", "simulated", "trigger_lost")

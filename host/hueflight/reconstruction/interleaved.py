@@ -30,7 +30,7 @@ from hueflight.reconstruction.joint import in_metres, search_range_ns
 from hueflight.reconstruction.quality import Quality
 
 _Key = tuple[object, ...]
-_plans: WeakKeyDictionary[Calibration, dict[_Key, tuple[Calibration, ModelTables]]] = (
+_kept_tables: WeakKeyDictionary[Calibration, dict[_Key, tuple[Calibration, ModelTables]]] = (
     WeakKeyDictionary()
 )
 
@@ -87,7 +87,7 @@ def reconstruct_interleaved(
     common = _common(calibrations)
     weights = _weights(exposures)
     search_ns = _search_ns(calibrations[0], depth_range)
-    common, plan = _plan_for(calibrations, common, weights, search_ns)
+    common, tables = _tables_for(calibrations, common, weights, search_ns)
 
     lights = [
         calibration.bins.in_time_order(count).astype(np.float32)
@@ -103,7 +103,7 @@ def reconstruct_interleaved(
         for light, exposure, calibration in zip(lights, exposures, calibrations, strict=True)
     ]
     side_by_side = np.concatenate(seen, axis=-1)
-    found = fit_pixels(side_by_side, common.pixel_delay_ns[chosen], plan, switches)
+    found = fit_pixels(side_by_side, common.pixel_delay_ns[chosen], tables, switches)
     estimates = in_metres(
         found,
         chosen,
@@ -194,7 +194,7 @@ def _gaps_ns(calibrations: Sequence[Calibration]) -> list[float]:
     return [float(np.median(c.pixel_delay_ns[usable] - first)) for c in calibrations]
 
 
-def _plan_for(
+def _tables_for(
     calibrations: Sequence[Calibration],
     common: Calibration,
     weights: tuple[float, ...],
@@ -202,24 +202,24 @@ def _plan_for(
 ) -> tuple[Calibration, ModelTables]:
     """Tables for these schedules; made once and kept as long as the first calibration lives."""
     first = calibrations[0]
-    plans = _plans.setdefault(first, {})
+    kept = _kept_tables.setdefault(first, {})
     # other calibrations are held by the key, so that none else can take their identity
     key = (*calibrations[1:], weights, search_ns)
-    if key not in plans:
+    if key not in kept:
         views = [
             ScheduleView(_earlier(c.bins, gap_ns), c.templates, weight)
             for c, gap_ns, weight in zip(calibrations, _gaps_ns(calibrations), weights, strict=True)
         ]
         offsets_ns = common.pixel_delay_ns[common.usable]
-        plan = make_tables(
+        tables = make_tables(
             views,
             shortest_fwhm_ns=min(band.pulse_fwhm_ns for band in first.instrument.bands),
             brightness=common.brightness,
             search_ns=search_ns,
             offsets_ns=(float(offsets_ns.min()), float(offsets_ns.max())),
         )
-        plans[key] = common, plan
-    return plans[key]
+        kept[key] = common, tables
+    return kept[key]
 
 
 def _earlier(bins: TimeBins, gap_ns: float) -> TimeBins:

@@ -24,23 +24,25 @@ from hueflight.reconstruction.reflectance import reflectance_scale
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 
-_plans: WeakKeyDictionary[Calibration, dict[tuple[float, float], ModelTables]] = WeakKeyDictionary()
+_kept_tables: WeakKeyDictionary[Calibration, dict[tuple[float, float], ModelTables]] = (
+    WeakKeyDictionary()
+)
 
 
 def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, float]) -> ModelTables:
     """Tables for a calibration; made once and kept as long as it lives."""
-    plans = _plans.setdefault(calibration, {})
-    if search_ns not in plans:
+    kept = _kept_tables.setdefault(calibration, {})
+    if search_ns not in kept:
         delays_ns = calibration.pixel_delay_ns[calibration.usable]
         instrument = calibration.instrument
-        plans[search_ns] = make_tables(
+        kept[search_ns] = make_tables(
             [ScheduleView(calibration.bins, calibration.templates)],
             shortest_fwhm_ns=min(band.pulse_fwhm_ns for band in instrument.bands),
             brightness=calibration.brightness,
             search_ns=search_ns,
             offsets_ns=(float(delays_ns.min()), float(delays_ns.max())),
         )
-    return plans[search_ns]
+    return kept[search_ns]
 
 
 def search_range_ns(
@@ -103,7 +105,7 @@ def estimate(
     """
     rows, cols, bins = light.shape
     search_ns = search_range_ns(calibration, depth_range)
-    plan = tables_for_calibration(calibration, search_ns)
+    tables = tables_for_calibration(calibration, search_ns)
     flat = light.reshape(rows * cols, bins)
     if photons is None:
         photons = photon_sums(flat).reshape(rows, cols)
@@ -120,7 +122,7 @@ def estimate(
         photons,
         frames if pileup_correction else None,
         calibration,
-        plan,
+        tables,
         skips=skips,
         threads=threads,
     )
@@ -143,7 +145,7 @@ def fit_chosen(
     photons: NDArray[np.float64],
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
-    plan: ModelTables,
+    tables: ModelTables,
     *,
     skips: Skips,
     threads: int,
@@ -166,9 +168,9 @@ def fit_chosen(
     switches = skips.of_fit(calibration)
     if is_resolved(instrument, calibration.bins):
         options = {"pixels": pixels, "per_period": rates, "threads": threads}
-        return fit_pixels(light, delays_ns, plan, switches, **options)
+        return fit_pixels(light, delays_ns, tables, switches, **options)
     seen = resolved(coates_correction(light[pixels], rates), instrument, calibration.bins)
-    return fit_pixels(seen, delays_ns, plan, switches, threads=threads)
+    return fit_pixels(seen, delays_ns, tables, switches, threads=threads)
 
 
 def in_metres(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.backend.fit import CORRELATION_SIZES, CORRELATIONS
 from hueflight.calibration import Calibration
 from hueflight.fit.solver import COUNT_TYPES, compiled_kernel
 
@@ -46,8 +47,7 @@ class Ready:
         sides as there are lags.
     """
 
-    numbers: NDArray[np.int32]
-    half_width: NDArray[np.float64]
+    sizes: NDArray[np.void]
     windows: NDArray[np.int32]
     gaps: NDArray[np.int32]
     reference: NDArray[np.uint16]
@@ -83,11 +83,15 @@ def measure(
     delay, deviation, background = (np.empty(count) for _ in range(3))
     sums = np.empty((count, bands))
     kernel.correlations(
-        light,
-        np.ascontiguousarray(pixels, np.int64),
-        *(ready.numbers, ready.half_width, ready.windows, ready.gaps),
-        *(ready.reference, ready.pixel_delays),
-        *(delay, deviation, sums, background),
+        *CORRELATIONS.arguments(
+            counts=light,
+            pixels=np.ascontiguousarray(pixels, np.int64),
+            **{field.name: getattr(ready, field.name) for field in fields(ready)},
+            delay=delay,
+            deviation=deviation,
+            window_sums=sums,
+            background=background,
+        )
     )
     return Measured(delay, deviation, sums, background)
 
@@ -113,12 +117,18 @@ def _made_ready(
     gaps = np.stack([np.flatnonzero(steps > 0), np.flatnonzero(steps < 0)], axis=-1)
     circular = calibration.bins.period_ns is not None
     bands = len(calibration.instrument.bands)
-    numbers = (search.search, reach, search.most, circular, bands, outside.sum())
     windows = [(window.band, window.start, window.stop) for window in calibration.windows]
     return Ready(
-        numbers=np.array(numbers, np.int32),
-        half_width=np.array([search.half_width]),
-        windows=np.array(windows, np.int32),
+        sizes=CORRELATION_SIZES.pack(
+            half_width=search.half_width,
+            search=search.search,
+            reach=reach,
+            most=search.most,
+            circular=circular,
+            bands=bands,
+            outside=outside.sum(),
+        ),
+        windows=np.array(windows, np.int32).reshape(-1, 3),
         gaps=gaps.astype(np.int32),
         reference=reference,
         pixel_delays=np.ascontiguousarray(calibration.pixel_delay.ravel(), np.float64),

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.fit.solver import contrasts, remembered
+from hueflight.fit.solver import change_reference, change_significance
 from hueflight.reconstruction.image import Estimates, as_image
 from hueflight.reconstruction.inputs import prepare_histogram
 from hueflight.reconstruction.joint import (
@@ -76,7 +76,7 @@ class Video:
         self.calibration = calibration
         self._change_sigma = change_sigma
         self._search_ns = search_range_ns(calibration, depth_range)
-        self._plan = tables_for_calibration(calibration, self._search_ns)
+        self._tables = tables_for_calibration(calibration, self._search_ns)
         self._corrections = {
             "range_correction": range_correction,
             "pileup_correction": pileup_correction,
@@ -126,7 +126,7 @@ class Video:
         changed: NDArray[np.bool_],
     ) -> _Kept:
         """What is kept, pixels (row, col) that have changed fitted again."""
-        calibration, plan, kept = self.calibration, self._plan, self._kept
+        calibration, tables, kept = self.calibration, self._tables, self._kept
         chosen = changed & (photons > 0)
         found = fit_chosen(
             flat,
@@ -134,7 +134,7 @@ class Video:
             photons,
             exposures if self._corrections["pileup_correction"] else None,
             calibration,
-            plan,
+            tables,
             skips=self._skips,
             threads=self._threads,
         )
@@ -150,7 +150,7 @@ class Video:
         if self._change_sigma == 0:
             return _Kept(estimates, None, chosen, found.delay_ns, np.empty(0, np.float32))
         pixels, offsets_ns = np.flatnonzero(chosen), calibration.pixel_delay_ns[chosen]
-        memory = remembered(flat, pixels, found, offsets_ns, plan)
+        memory = change_reference(flat, pixels, found, offsets_ns, tables)
         if kept is None:
             frames = None if exposures is None else np.array(exposures)
             everywhere = np.zeros((photons.size, *memory.shape[1:]), np.float32)
@@ -180,7 +180,7 @@ class Video:
         if exposures is not None and kept.frames is not None:
             scales = exposures[kept.fitted] / kept.frames[kept.fitted]
         delays_ns = kept.delays_ns[pixels]
-        gaps = contrasts(flat, kept.memory, pixels, scales, delays_ns, self._plan)
+        gaps = change_significance(flat, kept.memory, pixels, scales, delays_ns, self._tables)
         differs[kept.fitted] = gaps > self._change_sigma
         return differs
 

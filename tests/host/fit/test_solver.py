@@ -33,7 +33,7 @@ def both(light, plan, monkeypatch, **options):
     offsets = np.zeros(len(light))
     monkeypatch.setenv("HUEFLIGHT_KERNELS", "c")
     fast = fit_pixels(light, offsets, plan, **options)
-    return definition.fit(light, offsets, plan, options.get("switches", definition.DEFAULT)), fast
+    return definition.fit(light, offsets, plan, options.get("options", definition.DEFAULT)), fast
 
 
 @compiled
@@ -100,19 +100,19 @@ def test_threads_and_order_of_pixels_change_nothing(plans, draw):
 
 @compiled
 @pytest.mark.parametrize(
-    "switches",
+    "options",
     [
-        FitOptions(rough=True),
+        FitOptions(wide_first=True),
         FitOptions(settle=False),
         FitOptions(posterior=False),
         FitOptions(target_ns=10.0),
     ],
 )
-def test_switches_mean_the_same(plans, draw, monkeypatch, switches):
+def test_switches_mean_the_same(plans, draw, monkeypatch, options):
     instrument, plan = plans[6.0]
     counts = draw(instrument, depth=0.9, photons=100, background=50)
     light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
-    slow, fast = both(light, plan, monkeypatch, switches=switches)
+    slow, fast = both(light, plan, monkeypatch, options=options)
     apart = np.abs(slow.delay_ns - fast.delay_ns) / slow.delay_std_ns
     assert np.quantile(apart, 0.98) < 1e-3
 

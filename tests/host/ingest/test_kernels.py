@@ -271,14 +271,6 @@ def test_crc_of_every_length() -> None:
         assert compiled.crc32c(octets[-size or 7000 :]) == crc32c(octets[-size or 7000 :])
 
 
-@needs_c
-def test_constants_of_the_source_are_those_of_the_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
-    backends._check.cache_clear()
-    monkeypatch.setattr(backends.wire, "MAX_RUN", 8192)
-    with pytest.raises(KernelError, match=r"built from other sources \(MAX_RUN differ"):
-        backends.choose("c")
-
-
 def test_choosing_a_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     assert backends.choose("numpy") is BACKENDS["numpy"]
     monkeypatch.setenv("HUEFLIGHT_KERNELS", "numpy")

@@ -117,7 +117,7 @@ def test_fine_steps_end_where_depth_is_known_well_enough(setting):
     plan = tables_for_calibration(calibration, (-15.0, 15.0))
     light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
     offsets = np.zeros(144)
-    whole = kernels.fit_pixels(light, offsets, plan, FitOptions(rough=True))
+    whole = kernels.fit_pixels(light, offsets, plan, FitOptions(wide_first=True))
     target_ns = float(np.median(whole.delay_std_ns))
     early = kernels.fit_pixels(light, offsets, plan, FitOptions(target_ns=target_ns))
     done = early.steps == 0

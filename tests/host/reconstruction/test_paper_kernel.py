@@ -1,12 +1,13 @@
 """The paper's method compiled, against its definition: the same to single precision's rounding."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import hueflight as hf
 from hueflight import backend
+from hueflight.backend.fit import CORRELATIONS
 from hueflight.reconstruction import paper
 from hueflight.reconstruction import paper_kernel as paper_compiled
 
@@ -183,13 +184,18 @@ def test_buffers_that_do_not_fit_are_refused(instrument, calibration, draw):
 
     every = np.arange(144)
 
-    def run(pixels=every, delays=144, numbers=ready.numbers, windows=ready.windows):
+    def run(pixels=every, delays=144, **given):
+        values = {field.name: getattr(ready, field.name) for field in fields(ready)} | given
         kernel.correlations(
-            light,
-            pixels,
-            *(numbers, ready.half_width, windows, ready.gaps),
-            *(ready.reference, ready.pixel_delays),
-            *(np.empty(delays), np.empty(144), np.empty((144, 9)), np.empty(144)),
+            *CORRELATIONS.arguments(
+                counts=light,
+                pixels=pixels,
+                **values,
+                delay=np.empty(delays),
+                deviation=np.empty(144),
+                window_sums=np.empty((144, 9)),
+                background=np.empty(144),
+            )
         )
 
     run()
@@ -199,7 +205,9 @@ def test_buffers_that_do_not_fit_are_refused(instrument, calibration, draw):
         run(delays=143)
     with pytest.raises(ValueError, match="do not fit"):
         run(windows=np.array([[9, 1, 2]], np.int32))
+    wider = ready.sizes.copy()
+    wider["reach"] = wider["search"] + 1
     with pytest.raises(ValueError, match="do not fit"):
-        run(numbers=np.array([10, 20, 30, 1, 9, 1], np.int32))
-    with pytest.raises(ValueError, match="six integers"):
-        run(numbers=ready.numbers[:5])
+        run(sizes=wider)
+    with pytest.raises(ValueError, match="do not fit"):
+        run(sizes=ready.sizes[:0])

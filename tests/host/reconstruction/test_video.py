@@ -5,7 +5,7 @@ import pytest
 
 import hueflight as hf
 from hueflight.errors import HueflightError
-from hueflight.fit import change_detection as changes
+from hueflight.fit import change_detection
 from hueflight.fit import solver as kernels
 from hueflight.reconstruction.joint import tables_for_calibration
 from hueflight.reconstruction.quality import Quality
@@ -104,17 +104,19 @@ def test_compiled_contrasts_are_those_of_the_definition(setting):
     found = kernels.fit_pixels(then, offsets, plan).take(pixels)
     scales = np.linspace(0.5, 2, pixels.size)
     memory = np.zeros((576, 2, 128), np.float32)
-    memory[pixels] = kernels.remembered(then, pixels, found, offsets[pixels], plan)
-    expected = changes.remembered(then[pixels], found, offsets[pixels], plan)
+    memory[pixels] = kernels.change_reference(then, pixels, found, offsets[pixels], plan)
+    expected = change_detection.change_reference(then[pixels], found, offsets[pixels], plan)
     np.testing.assert_array_equal(memory[pixels, 0], expected[:, 0])
     np.testing.assert_array_equal(memory[pixels, 0].sum(axis=-1), then[pixels].sum(axis=-1))
     np.testing.assert_allclose(memory[pixels, 1], expected[:, 1], rtol=1e-3, atol=1e-4)
     for counts in (np.ascontiguousarray(then), then.astype(np.uint32)):  # however they lie
-        again = kernels.remembered(counts, pixels, found, offsets[pixels], plan)
+        again = kernels.change_reference(counts, pixels, found, offsets[pixels], plan)
         np.testing.assert_array_equal(again, memory[pixels])
     delays_ns = found.delay_ns + offsets[pixels]
-    fast = kernels.contrasts(now, memory, pixels, scales, delays_ns, plan)
-    slow = changes.contrasts(now[pixels], memory[pixels], scales, delays_ns, plan)
+    fast = kernels.change_significance(now, memory, pixels, scales, delays_ns, plan)
+    slow = change_detection.change_significance(
+        now[pixels], memory[pixels], scales, delays_ns, plan
+    )
     kernels._packed.pop(plan)
     np.testing.assert_allclose(fast, slow, rtol=2e-4, atol=1e-3)
 

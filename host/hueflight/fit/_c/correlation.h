@@ -62,13 +62,13 @@ INLINE int make_pairs(const Paper *paper, Group *group, const Light *light)
     ivec pairs[LANES], before = {0}, last = {0}, seen = {0};
     int bins = paper->bins, at;
     for (at = 0; at < bins; at += 2 * LANES) {
-        seen |= pairs_abreast(light, group->light, at, bins, pairs);
-        before = running_abreast(pairs, before, group->running + at);
+        seen |= transposed_pairs(light, group->light, at, bins, pairs);
+        before = transposed_running_sums(pairs, before, group->running + at);
         memcpy(group->first + at / 2, pairs, sizeof pairs);
     }
     group->running[at] = before;
     for (at = 0; at < bins; at += 2 * LANES) {
-        seen |= pairs_abreast(&REFERENCES, group->reference, at, bins, pairs);
+        seen |= transposed_pairs(&REFERENCES, group->reference, at, bins, pairs);
         ivec *second = group->second + at;
         for (int i = 0; i < LANES; i++) {
             second[2 * i - 1] = across(last, pairs[i]);
@@ -85,7 +85,7 @@ INLINE void make_floats(const Paper *paper, Group *group, const Light *light)
     ivec counts[2 * LANES], before = {0};
     int bins = paper->bins, at;
     for (at = 0; at < bins; at += 2 * LANES) {
-        counts_abreast(light, group->light, at, bins, counts);
+        transposed_counts(light, group->light, at, bins, counts);
         for (int i = 0; i < 2 * LANES; i++) {
             group->first[at + i] = (ivec)__builtin_convertvector(counts[i], vec);
             group->running[at + i] = before;
@@ -94,7 +94,7 @@ INLINE void make_floats(const Paper *paper, Group *group, const Light *light)
     }
     group->running[at] = before;
     for (at = 0; at < bins; at += 2 * LANES) {
-        counts_abreast(&REFERENCES, group->reference, at, bins, counts);
+        transposed_counts(&REFERENCES, group->reference, at, bins, counts);
         for (int i = 0; i < 2 * LANES; i++)
             group->second[at + i] = (ivec)__builtin_convertvector(counts[i], vec);
     }

@@ -122,11 +122,11 @@ INLINE void fours_of_16(const uint16_t *low, int bins, int backwards, float *to)
 
 /* Sums of `factor` bins each within every view; returns how many. `sizes` may be those of the
  * sensor or, with `before`, of bins that were summed already. */
-INLINE int group(const Plan *plan, int before, int factor, const float *from, float *to)
+INLINE int group(const ModelTables *tables, int before, int factor, const float *from, float *to)
 {
     int made = 0;
-    for (int v = 0; v < plan->views; v++) {
-        int size = (plan->sizes[v] + before - 1) / before, full = size / factor;
+    for (int v = 0; v < tables->views; v++) {
+        int size = (tables->sizes[v] + before - 1) / before, full = size / factor;
         if (factor == 1)
             memcpy(to + made, from, (size_t)size * sizeof *to);
         else if (factor == 4)
@@ -207,7 +207,7 @@ INLINE vec exponential(vec x)
 
 /* Counts as if early photons of a period had not kept later ones from being seen; see pileup.py.
  * Both arrays have room for whole vectors. */
-INLINE void unshadow(float *counts, int bins, float rate, float *earlier)
+INLINE void coates_correct(float *counts, int bins, float rate, float *earlier)
 {
     int blocks = (bins + LANES - 1) / LANES;
     ivec lanes = lane_numbers();

@@ -1,13 +1,15 @@
-/* The extension module: reconstruction's loops for Python. Their definitions and oracles are fit.py,
- * changes.py and paper.py.
+/* The extension module: the joint fit, change detection and the published method, for Python. Their
+ * definitions are reference.py and change_detection.py of hueflight/fit and paper.py of
+ * hueflight/reconstruction.
  *
- * Works on tiles of pixels that stay in the cache, without the interpreter's lock, and touches
- * only buffers that the caller holds; kernels.py has checked their sizes. */
+ * Works on tiles of pixels that stay in the cache, without the interpreter's lock, and touches only
+ * buffers that the caller holds. Arguments are those of abi.h. */
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
 #include <stdlib.h>
 
+#include "abi.h"
 #include "vector.h"
 #include "tables.h"
 #include "scoring.h"
@@ -15,8 +17,8 @@
 #include "likelihood.h"
 #include "counts.h"
 #include "fit.h"
-#include "changes.h"
-#include "abreast.h"
+#include "change_detection.h"
+#include "simd_transpose.h"
 #include "correlation.h"
 #include "paper.h"
 
@@ -38,92 +40,99 @@ static void *take(char **place, size_t bytes)
 }
 
 /* All scratch memory from one block, or NULL. */
-static char *make_scratch(const Plan *plan, Scratch *scratch)
+static char *make_scratch(const ModelTables *tables, Scratch *scratch)
 {
-    scratch->lags = vectors(plan->coarse.lags);
-    scratch->fine_stride = (size_t)plan->fine.blocks * LANES + 16; /* not a power of two */
-    scratch->rough_stride = (size_t)plan->rough.blocks * LANES + 16;
-    size_t work = 5 * sizeof(vec) * (size_t)plan->fine.blocks;
+    scratch->lags = vectors(tables->search.lags);
+    scratch->fine_stride = (size_t)tables->fine.blocks * LANES + 16; /* not a power of two */
+    scratch->wide_stride = (size_t)tables->wide.blocks * LANES + 16;
+    size_t work = 5 * sizeof(vec) * (size_t)tables->fine.blocks;
     size_t bytes = 64 * 16
-                 + TILE * 4 * (scratch->fine_stride + scratch->rough_stride)
-                 + 8 * vectors(plan->bins) + PARTY * 5 * scratch->lags + work
-                 + sizeof(Equations) + TRACKS * sizeof(Track);
+                 + TILE * 4 * (scratch->fine_stride + scratch->wide_stride)
+                 + 8 * vectors(tables->bins) + BATCH * 5 * scratch->lags + work
+                 + sizeof(Equations) + CANDIDATES * sizeof(Candidate);
     char *block = calloc(bytes, 1);
     if (!block)
         return NULL;
     char *place = (char *)(((uintptr_t)block + 63) / 64 * 64);
     scratch->fine = take(&place, TILE * 4 * scratch->fine_stride);
-    scratch->rough = take(&place, TILE * 4 * scratch->rough_stride);
-    scratch->sensor = take(&place, 4 * vectors(plan->bins));
-    scratch->earlier = take(&place, 4 * vectors(plan->bins));
-    scratch->scores = take(&place, PARTY * 4 * scratch->lags);
-    scratch->tried = take(&place, PARTY * scratch->lags);
+    scratch->wide = take(&place, TILE * 4 * scratch->wide_stride);
+    scratch->sensor = take(&place, 4 * vectors(tables->bins));
+    scratch->earlier = take(&place, 4 * vectors(tables->bins));
+    scratch->scores = take(&place, BATCH * 4 * scratch->lags);
+    scratch->tried = take(&place, BATCH * scratch->lags);
     scratch->work = take(&place, work);
     scratch->equations = take(&place, sizeof(Equations));
-    scratch->tracks = take(&place, TRACKS * sizeof(Track));
+    scratch->candidates = take(&place, CANDIDATES * sizeof(Candidate));
     return block;
 }
 
-enum { LIGHT, WHICH, OFFSETS, RATES, INTEGERS, REALS, SIZES, F_WIDTHS, F_PLACES, F_RUNS, F_DATA, F_PAIRS,
-       F_MEETS, F_MEETINGS, R_WIDTHS, R_PLACES, R_RUNS, R_DATA, R_PAIRS, R_MEETS, R_MEETINGS,
-       C_SPANS, C_GAINS, C_COSTS, C_PLACES, C_RUNS, C_WIDTHS, C_SHARES,
-       DELAY, DEVIATION, OTHER, AMPLITUDES, AMPLITUDE_STD, BACKGROUND, STEPS, BUFFERS };
+/* fit, change_reference and change_significance begin with the same arguments. */
+_Static_assert((int)FIT_SEARCH_SHARES == (int)CHANGE_REFERENCE_SEARCH_SHARES
+               && (int)FIT_SEARCH_SHARES == (int)CHANGE_SIGNIFICANCE_SEARCH_SHARES
+               && (int)FIT_SIZES == (int)CHANGE_REFERENCE_SIZES
+               && (int)FIT_SIZES == (int)CHANGE_SIGNIFICANCE_SIZES, "the tables come first");
+_Static_assert((int)FIT_COUNTS == 0 && (int)SUMS_COUNTS == 0 && (int)CORRELATIONS_COUNTS == 0
+               && (int)FIT_PIXELS == 1 && (int)SUMS_PIXELS == 1 && (int)CORRELATIONS_PIXELS == 1,
+               "counts and pixels come before everything else");
+enum { COUNTS_GIVEN = FIT_COUNTS, PIXELS_GIVEN = FIT_PIXELS, MOST_BUFFERS = FIT_BUFFERS };
+_Static_assert((int)CHANGE_REFERENCE_BUFFERS <= (int)MOST_BUFFERS
+               && (int)CHANGE_SIGNIFICANCE_BUFFERS <= (int)MOST_BUFFERS
+               && (int)CORRELATIONS_BUFFERS <= (int)MOST_BUFFERS, "there is room for all buffers");
 
-static void make_plan(const Py_buffer *held, Plan *plan)
+#define DELAY_TABLES(LEVEL, PLACE)                                                                \
+    (DelayTables)                                                                                 \
+    {                                                                                             \
+        .bins = sizes->LEVEL##_bins, .blocks = sizes->LEVEL##_blocks,                             \
+        .phases = sizes->LEVEL##_phases, .first_ns = sizes->LEVEL##_first_ns,                     \
+        .phase_ns = sizes->LEVEL##_phase_ns, .widths = held[FIT_##PLACE##_WIDTHS].buf,            \
+        .places = held[FIT_##PLACE##_PLACES].buf, .runs = held[FIT_##PLACE##_RUNS].buf,           \
+        .data = held[FIT_##PLACE##_DATA].buf, .pairs = (int)(held[FIT_##PLACE##_PAIRS].len / 2),  \
+        .pair_bands = held[FIT_##PLACE##_PAIRS].buf, .meets = held[FIT_##PLACE##_MEETS].buf,      \
+        .meetings = held[FIT_##PLACE##_MEETINGS].buf                                              \
+    }
+
+static void make_tables(const Py_buffer *held, ModelTables *tables)
 {
-    const int32_t *n = held[INTEGERS].buf;
-    const float *x = held[REALS].buf;
-    *plan = (Plan){
-        .bands = n[0], .views = n[1], .factor = n[2], .bins = n[3], .sizes = held[SIZES].buf,
-        .fine = {.bins = n[4], .blocks = n[5], .phases = n[6], .first_ns = x[0],
-                 .phase_ns = x[1], .widths = held[F_WIDTHS].buf, .places = held[F_PLACES].buf,
-                 .runs = held[F_RUNS].buf, .data = held[F_DATA].buf,
-                 .pairs = (int)(held[F_PAIRS].len / 2), .pair_bands = held[F_PAIRS].buf,
-                 .meets = held[F_MEETS].buf, .meetings = held[F_MEETINGS].buf},
-        .rough = {.bins = n[7], .blocks = n[8], .phases = n[9], .first_ns = x[2],
-                 .phase_ns = x[3], .widths = held[R_WIDTHS].buf, .places = held[R_PLACES].buf,
-                 .runs = held[R_RUNS].buf, .data = held[R_DATA].buf,
-                 .pairs = (int)(held[R_PAIRS].len / 2), .pair_bands = held[R_PAIRS].buf,
-                 .meets = held[R_MEETS].buf, .meetings = held[R_MEETINGS].buf},
-        .coarse = {.factor = n[10], .bins = n[11], .lags = n[12], .separation = n[13],
-                   .first_ns = x[4], .step_ns = x[5], .spans = held[C_SPANS].buf,
-                   .gains = held[C_GAINS].buf, .costs = held[C_COSTS].buf,
-                   .places = held[C_PLACES].buf, .runs = held[C_RUNS].buf,
-                   .widths = held[C_WIDTHS].buf, .shares = held[C_SHARES].buf},
-        .rules = {.shares = {x[6], x[7], x[8]}, .logs = {x[9], x[10], x[11]},
-                  .steps = n[14], .nodes = n[15], .rounds = n[16], .rough = n[17],
-                  .settle = n[18], .posterior = n[19], .few_steps = n[20], .settled = x[12],
-                  .floor_photons = x[13], .floor_share = x[14], .ridge = x[15],
-                  .margin = x[16], .ambiguous = x[17], .few = x[18], .spacing = x[19],
-                  .spread_ns = x[20], .low_ns = x[21], .high_ns = x[22], .target_ns = x[23],
-                  .raster = x[24], .dark_width = x[25], .settled_amplitude = x[26],
-                  .fewest = x[27]},
+    const TableSizes *sizes = held[FIT_SIZES].buf;
+    const FitRules *rules = held[FIT_RULES].buf;
+    *tables = (ModelTables){
+        .bands = sizes->bands, .views = sizes->views, .factor = sizes->fine_factor,
+        .bins = sizes->sensor_bins, .sizes = held[FIT_VIEW_BINS].buf,
+        .fine = DELAY_TABLES(fine, FINE), .wide = DELAY_TABLES(wide, WIDE),
+        .search = {.factor = sizes->wide_factor, .bins = sizes->search_bins, .lags = sizes->lags,
+                   .separation = sizes->separation, .first_ns = sizes->first_lag_ns,
+                   .step_ns = sizes->lag_ns, .spans = held[FIT_SEARCH_SPANS].buf,
+                   .gains = held[FIT_SEARCH_GAINS].buf, .costs = held[FIT_SEARCH_COSTS].buf,
+                   .places = held[FIT_SEARCH_PLACES].buf, .runs = held[FIT_SEARCH_RUNS].buf,
+                   .widths = held[FIT_SEARCH_WIDTHS].buf, .shares = held[FIT_SEARCH_SHARES].buf},
+        .rules = *rules,
     };
 }
 
-/* Takes hold of all arguments as buffers, the first and `other` as they lie, those from `written`
- * on to be written; returns how many, or fewer with an error set. */
-static int hold(PyObject *args, Py_buffer *held, int wanted, int other, int written)
+/* Holds all arguments as buffers: the counts with any strides, the others contiguous, those after
+ * the first `reads` to be written. Returns how many, or fewer with an error set. */
+static int hold(PyObject *args, Py_buffer *held, int wanted, int reads)
 {
     if (PyTuple_Size(args) != wanted) {
-        PyErr_Format(PyExc_TypeError, "wants %d buffers", wanted);
+        PyErr_Format(PyExc_TypeError, "expected %d buffers", wanted);
         return 0;
     }
     for (int i = 0; i < wanted; i++) {
-        int flags = i == LIGHT || i == other ? PyBUF_STRIDED_RO | PyBUF_FORMAT
-                  : i >= written ? PyBUF_WRITABLE : PyBUF_SIMPLE;
+        int flags = i == COUNTS_GIVEN ? PyBUF_STRIDED_RO | PyBUF_FORMAT
+                  : i >= reads ? PyBUF_WRITABLE : PyBUF_SIMPLE;
         if (PyObject_GetBuffer(PyTuple_GetItem(args, i), &held[i], flags))
             return i;
     }
     return wanted;
 }
 
-/* Counts in a buffer; false with an error set if it is none, or some pixel of `which` is not. */
+/* Counts in a buffer; false with an error set if it holds none, or lacks one of the pixels. */
 static int light_of(const Py_buffer *held, const Py_buffer *which, Light *light)
 {
     char type = held->format ? held->format[0] : 0;
     if (held->ndim != 2 || (type != 'H' && type != 'I' && type != 'f')) {
-        PyErr_SetString(PyExc_ValueError, "light must be (pixel, bin) of uint16, uint32 or float32");
+        PyErr_SetString(PyExc_ValueError,
+                        "counts must be (pixel, bin) of uint16, uint32 or float32");
         return 0;
     }
     *light = (Light){held->buf, held->shape[0], held->strides[0], held->strides[1], type};
@@ -136,23 +145,24 @@ static int light_of(const Py_buffer *held, const Py_buffer *which, Light *light)
     return 1;
 }
 
-/* What a call of Python holds while it runs. */
+/* What a call from Python holds while it runs. */
 typedef struct {
     int count; /* of buffers that are held */
-    Py_buffer held[BUFFERS];
+    Py_buffer held[MOST_BUFFERS];
     Light light;
     const int64_t *which;
     size_t pixels;
     char *block; /* of scratch memory */
 } Call;
 
-static int begin(Call *call, PyObject *args, int wanted, int other, int written)
+static int begin(Call *call, PyObject *args, int wanted, int reads)
 {
-    call->count = hold(args, call->held, wanted, other, written);
-    if (call->count < wanted || !light_of(&call->held[LIGHT], &call->held[WHICH], &call->light))
+    const Py_buffer *held = call->held;
+    call->count = hold(args, call->held, wanted, reads);
+    if (call->count < wanted || !light_of(&held[COUNTS_GIVEN], &held[PIXELS_GIVEN], &call->light))
         return 0;
-    call->which = call->held[WHICH].buf;
-    call->pixels = (size_t)call->held[WHICH].len / 8;
+    call->which = held[PIXELS_GIVEN].buf;
+    call->pixels = (size_t)held[PIXELS_GIVEN].len / 8;
     return 1;
 }
 
@@ -186,181 +196,192 @@ static int allocated(const Call *call)
     return call->block != NULL;
 }
 
-static int planned(const Call *call, Plan *plan)
+/* Tables from the arguments; false if they do not fit the counts. */
+static int read_tables(const Call *call, ModelTables *tables)
 {
-    make_plan(call->held, plan);
-    return plan->bands >= 1 && plan->bands <= MOST_BANDS
-        && call->held[LIGHT].shape[1] == plan->bins;
+    const Py_buffer *held = call->held;
+    *tables = (ModelTables){0};
+    if (held[FIT_SIZES].len != sizeof(TableSizes) || held[FIT_RULES].len != sizeof(FitRules))
+        return 0;
+    make_tables(held, tables);
+    return tables->bands >= 1 && tables->bands <= MOST_BANDS && tables->rules.nodes >= 1
+        && tables->rules.nodes <= MOST_NODES && held[COUNTS_GIVEN].shape[1] == tables->bins;
 }
 
 static int run_fit(Call *call)
 {
     const Py_buffer *held = call->held;
-    Plan plan;
-    int fits = planned(call, &plan);
-    size_t each = 8 * (size_t)plan.bands;
-    if (!fits || (held[RATES].len && !holds(call, RATES, 4)) || !holds(call, OFFSETS, 4)
-        || !holds(call, DELAY, 8) || !holds(call, DEVIATION, 8) || !holds(call, OTHER, 8)
-        || !holds(call, AMPLITUDES, each) || !holds(call, AMPLITUDE_STD, each)
-        || !holds(call, BACKGROUND, 8) || !holds(call, STEPS, 1))
+    ModelTables tables;
+    int fits = read_tables(call, &tables);
+    size_t each = 8 * (size_t)tables.bands;
+    if (!fits || (held[FIT_RATES].len && !holds(call, FIT_RATES, 4))
+        || !holds(call, FIT_OFFSETS, 4) || !holds(call, FIT_DELAY_NS, 8)
+        || !holds(call, FIT_DELAY_STD_NS, 8) || !holds(call, FIT_OTHER_NS, 8)
+        || !holds(call, FIT_AMPLITUDES, each) || !holds(call, FIT_AMPLITUDE_STD, each)
+        || !holds(call, FIT_BACKGROUND, 8) || !holds(call, FIT_STEPS, 1))
         return refuse("fit: buffers do not fit one another");
-    Results results = {held[DELAY].buf, held[DEVIATION].buf, held[OTHER].buf,
-                       held[AMPLITUDES].buf, held[AMPLITUDE_STD].buf, held[BACKGROUND].buf,
-                       held[STEPS].buf};
+    Results results = {
+        .delay = held[FIT_DELAY_NS].buf, .deviation = held[FIT_DELAY_STD_NS].buf,
+        .other = held[FIT_OTHER_NS].buf, .amplitudes = held[FIT_AMPLITUDES].buf,
+        .amplitude_std = held[FIT_AMPLITUDE_STD].buf, .background = held[FIT_BACKGROUND].buf,
+        .steps = held[FIT_STEPS].buf,
+    };
     Scratch scratch;
-    call->block = make_scratch(&plan, &scratch);
+    call->block = make_scratch(&tables, &scratch);
     if (!allocated(call))
         return 0;
     Py_BEGIN_ALLOW_THREADS
-    fit_pixels(&plan, &call->light, call->which, call->pixels, held[OFFSETS].buf,
-               held[RATES].len ? held[RATES].buf : NULL, &results, &scratch);
+    fit_pixels(&tables, &call->light, call->which, call->pixels, held[FIT_OFFSETS].buf,
+               held[FIT_RATES].len ? held[FIT_RATES].buf : NULL, &results, &scratch);
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* fit(light, which, offsets, rates, integers, reals, sizes, tables..., results...): kernels.py. */
 static PyObject *py_fit(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, BUFFERS, LIGHT, DELAY) && run_fit(&call));
+    return end(&call, begin(&call, args, FIT_BUFFERS, FIT_READS) && run_fit(&call));
 }
 
-enum { KEPT_AMPLITUDES = DELAY, KEPT_BACKGROUND, MADE, REMEMBER_BUFFERS };
-
-static int run_remember(Call *call)
+static int run_change_reference(Call *call)
 {
     const Py_buffer *held = call->held;
-    Plan plan;
-    int fits = planned(call, &plan);
-    size_t bands = (size_t)plan.bands, room = 2 * memory_room(&plan);
-    if (!fits || !holds(call, OFFSETS, 4) || !holds(call, KEPT_AMPLITUDES, 4 * bands)
-        || !holds(call, KEPT_BACKGROUND, 4) || !holds(call, MADE, 4 * room))
-        return refuse("remember: buffers do not fit one another");
+    ModelTables tables;
+    int fits = read_tables(call, &tables);
+    size_t bands = (size_t)tables.bands, room = 2 * reference_size(&tables);
+    if (!fits || !holds(call, CHANGE_REFERENCE_DELAYS, 4)
+        || !holds(call, CHANGE_REFERENCE_AMPLITUDES, 4 * bands)
+        || !holds(call, CHANGE_REFERENCE_BACKGROUND, 4)
+        || !holds(call, CHANGE_REFERENCE_REFERENCE, 4 * room))
+        return refuse("change_reference: buffers do not fit one another");
     Scratch scratch;
-    call->block = make_scratch(&plan, &scratch);
+    call->block = make_scratch(&tables, &scratch);
     if (!allocated(call))
         return 0;
-    const float *delays = held[OFFSETS].buf, *amplitudes = held[KEPT_AMPLITUDES].buf;
-    const float *background = held[KEPT_BACKGROUND].buf;
-    float *memory = held[MADE].buf;
+    const float *delays = held[CHANGE_REFERENCE_DELAYS].buf;
+    const float *amplitudes = held[CHANGE_REFERENCE_AMPLITUDES].buf;
+    const float *background = held[CHANGE_REFERENCE_BACKGROUND].buf;
+    float *reference = held[CHANGE_REFERENCE_REFERENCE].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
-        const float *counts = wide_counts(&plan, &call->light, (size_t)call->which[i], &scratch);
-        remember(&plan, counts, delays[i], amplitudes + i * bands, background[i], scratch.work,
-                 memory + i * room);
+        const float *counts = wide_counts(&tables, &call->light, (size_t)call->which[i], &scratch);
+        change_reference(&tables, counts, delays[i], amplitudes + i * bands, background[i],
+                         scratch.work, reference + i * room);
     }
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* remember(light, which, delays, nothing, integers, reals, sizes, tables..., amplitudes, background,
- * memory): see changes.py. */
-static PyObject *py_remember(PyObject *self, PyObject *args)
+static PyObject *py_change_reference(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, REMEMBER_BUFFERS, LIGHT, MADE) && run_remember(&call));
+    return end(&call, begin(&call, args, CHANGE_REFERENCE_BUFFERS, CHANGE_REFERENCE_READS)
+                          && run_change_reference(&call));
 }
 
-enum { MEMORY = DELAY, CONTRASTS, CHANGE_BUFFERS };
-
-static int run_contrasts(Call *call)
+static int run_change_significance(Call *call)
 {
     const Py_buffer *held = call->held;
-    Plan plan;
-    int fits = planned(call, &plan);
-    size_t room = 2 * memory_room(&plan);
-    if (!fits || !holds(call, OFFSETS, 4) || !holds(call, RATES, 4) || !holds(call, CONTRASTS, 4)
-        || (size_t)held[MEMORY].len < 4 * room * (size_t)call->light.pixels)
-        return refuse("contrasts: buffers do not fit one another");
+    ModelTables tables;
+    int fits = read_tables(call, &tables);
+    size_t room = 2 * reference_size(&tables);
+    if (!fits || !holds(call, CHANGE_SIGNIFICANCE_DELAYS, 4)
+        || !holds(call, CHANGE_SIGNIFICANCE_SCALES, 4)
+        || !holds(call, CHANGE_SIGNIFICANCE_SIGNIFICANCE, 4)
+        || (size_t)held[CHANGE_SIGNIFICANCE_REFERENCE].len
+               < 4 * room * (size_t)call->light.pixels)
+        return refuse("change_significance: buffers do not fit one another");
     Scratch scratch;
-    call->block = make_scratch(&plan, &scratch);
+    call->block = make_scratch(&tables, &scratch);
     if (!allocated(call))
         return 0;
-    const float *delays = held[OFFSETS].buf, *scales = held[RATES].buf, *memory = held[MEMORY].buf;
-    float *results = held[CONTRASTS].buf;
+    const float *delays = held[CHANGE_SIGNIFICANCE_DELAYS].buf;
+    const float *scales = held[CHANGE_SIGNIFICANCE_SCALES].buf;
+    const float *reference = held[CHANGE_SIGNIFICANCE_REFERENCE].buf;
+    float *results = held[CHANGE_SIGNIFICANCE_SIGNIFICANCE].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
         size_t pixel = (size_t)call->which[i];
         if (i + 2 < call->pixels) {
             size_t next = (size_t)call->which[i + 2];
-            fetch(&call->light, next, plan.bins);
-            fetch_memory(memory + next * room, room);
+            fetch(&call->light, next, tables.bins);
+            fetch_reference(reference + next * room, room);
         }
-        const float *now = wide_counts(&plan, &call->light, pixel, &scratch);
-        results[i] = contrast(&plan, now, memory + pixel * room, scales[i], delays[i],
-                              scratch.work, scratch.work + plan.rough.blocks);
+        const float *now = wide_counts(&tables, &call->light, pixel, &scratch);
+        results[i] = change_significance(&tables, now, reference + pixel * room, scales[i],
+                                         delays[i], scratch.work,
+                                         scratch.work + tables.wide.blocks);
     }
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* contrasts(now, which, delays, scales, integers, reals, sizes, tables..., memory, results): see
- * changes.py. */
-static PyObject *py_contrasts(PyObject *self, PyObject *args)
+static PyObject *py_change_significance(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, CHANGE_BUFFERS, LIGHT, CONTRASTS) && run_contrasts(&call));
+    return end(&call, begin(&call, args, CHANGE_SIGNIFICANCE_BUFFERS, CHANGE_SIGNIFICANCE_READS)
+                          && run_change_significance(&call));
 }
-
-enum { SPAN = 2, ALL_COUNTS, LIT_COUNTS, FULL, SUM_BUFFERS };
 
 static int run_sums(Call *call)
 {
-    int bins = (int)call->held[LIGHT].shape[1];
-    const int64_t *span = call->held[SPAN].buf;
-    if (call->held[SPAN].len != 16 || span[0] < 0 || span[1] < span[0] || span[1] > bins
-        || !holds(call, ALL_COUNTS, 8) || !holds(call, LIT_COUNTS, 8) || !holds(call, FULL, 1))
+    const Py_buffer *held = call->held;
+    int bins = (int)held[COUNTS_GIVEN].shape[1];
+    const int64_t *span = held[SUMS_SPAN].buf;
+    if (held[SUMS_SPAN].len != 16 || span[0] < 0 || span[1] < span[0] || span[1] > bins
+        || !holds(call, SUMS_ALL, 8) || !holds(call, SUMS_INSIDE, 8) || !holds(call, SUMS_FULL, 1))
         return refuse("sums: buffers do not fit one another");
-    double *all = call->held[ALL_COUNTS].buf, *lit = call->held[LIT_COUNTS].buf;
-    uint8_t *full = call->held[FULL].buf;
+    double *all = held[SUMS_ALL].buf, *inside = held[SUMS_INSIDE].buf;
+    uint8_t *full = held[SUMS_FULL].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
         if (i + 4 < call->pixels)
             fetch(&call->light, (size_t)call->which[i + 4], bins);
         sum_counts(&call->light, (size_t)call->which[i], bins, (int)span[0], (int)span[1], all + i,
-                   lit + i, full + i);
+                   inside + i, full + i);
     }
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-/* sums(counts, which, span, all, lit, full): counts of each pixel and those from span[0] up to
- * span[1], as float64, and whether a counter is at the end of its type. */
 static PyObject *py_sums(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, SUM_BUFFERS, LIGHT, ALL_COUNTS) && run_sums(&call));
+    return end(&call, begin(&call, args, SUMS_BUFFERS, SUMS_READS) && run_sums(&call));
 }
-
-enum { NUMBERS = 2, HALF_WIDTH, WINDOWS, GAPS, REFERENCE, PIXEL_DELAYS, LAG, LAG_STD,
-       WINDOW_SUMS, FLOOR, PAPER_BUFFERS };
 
 /* What all pixels of a call share; false if its buffers do not fit one another. */
 static int make_paper(const Call *call, Paper *paper)
 {
     const Py_buffer *held = call->held;
-    const int32_t *n = held[NUMBERS].buf;
+    const CorrelationSizes *sizes = held[CORRELATIONS_SIZES].buf;
+    if (held[CORRELATIONS_SIZES].len != sizeof *sizes)
+        return 0;
     *paper = (Paper){
-        .bins = (int)held[LIGHT].shape[1], .search = n[0], .reach = n[1], .most = n[2],
-        .circular = n[3], .bands = n[4], .outside = n[5],
-        .half_width = *(const double *)held[HALF_WIDTH].buf,
-        .windows = (int)(held[WINDOWS].len / 12), .window = held[WINDOWS].buf,
-        .gaps = (int)(held[GAPS].len / 8), .gap = held[GAPS].buf,
-        .references = held[REFERENCE].buf, .pixel_delays = held[PIXEL_DELAYS].buf,
+        .bins = (int)held[COUNTS_GIVEN].shape[1], .search = sizes->search, .reach = sizes->reach,
+        .most = sizes->most, .circular = sizes->circular, .bands = sizes->bands,
+        .outside = sizes->outside, .half_width = sizes->half_width,
+        .windows = (int)(held[CORRELATIONS_WINDOWS].len / 12),
+        .window = held[CORRELATIONS_WINDOWS].buf,
+        .gaps = (int)(held[CORRELATIONS_GAPS].len / 8), .gap = held[CORRELATIONS_GAPS].buf,
+        .references = held[CORRELATIONS_REFERENCE].buf,
+        .pixel_delays = held[CORRELATIONS_PIXEL_DELAYS].buf,
     };
+    size_t pixels = (size_t)call->light.pixels;
     int fits = call->light.type != 'f' && paper->search >= 0 && paper->reach >= 0
             && paper->reach <= paper->search && paper->most >= paper->search + paper->reach
             && paper->most <= 2 * paper->bins && paper->reach <= paper->bins
             && paper->half_width <= paper->most && paper->bands > 0
-            && (size_t)held[REFERENCE].len / 2
-                   >= (size_t)(paper->bins + 2 * paper->most) * (size_t)call->light.pixels
-            && (size_t)held[PIXEL_DELAYS].len >= 8 * (size_t)call->light.pixels
-            && holds(call, LAG, 8) && holds(call, LAG_STD, 8) && holds(call, FLOOR, 8)
-            && holds(call, WINDOW_SUMS, 8 * (size_t)paper->bands);
+            && (size_t)held[CORRELATIONS_REFERENCE].len / 2
+                   >= (size_t)(paper->bins + 2 * paper->most) * pixels
+            && (size_t)held[CORRELATIONS_PIXEL_DELAYS].len >= 8 * pixels
+            && holds(call, CORRELATIONS_DELAY, 8) && holds(call, CORRELATIONS_DEVIATION, 8)
+            && holds(call, CORRELATIONS_BACKGROUND, 8)
+            && holds(call, CORRELATIONS_WINDOW_SUMS, 8 * (size_t)paper->bands);
     for (int w = 0; fits && w < paper->windows; w++)
         fits = paper->window[3 * w] >= 0 && paper->window[3 * w] < paper->bands;
     for (int g = 0; fits && g < 2 * paper->gaps; g++)
@@ -371,8 +392,6 @@ static int make_paper(const Call *call, Paper *paper)
 static int run_correlations(Call *call)
 {
     const Py_buffer *held = call->held;
-    if (held[NUMBERS].len != 6 * 4 || held[HALF_WIDTH].len != 8)
-        return refuse("correlations: wants six integers and a width");
     Paper paper;
     if (!make_paper(call, &paper))
         return refuse("correlations: buffers do not fit one another");
@@ -381,8 +400,11 @@ static int run_correlations(Call *call)
     if (!allocated(call))
         return 0;
     lay_out(&paper, (char *)(((uintptr_t)call->block + 63) / 64 * 64), &group);
-    PaperResults results = {held[LAG].buf, held[LAG_STD].buf, held[WINDOW_SUMS].buf,
-                            held[FLOOR].buf};
+    PaperResults results = {
+        .delay = held[CORRELATIONS_DELAY].buf, .deviation = held[CORRELATIONS_DEVIATION].buf,
+        .sums = held[CORRELATIONS_WINDOW_SUMS].buf,
+        .background = held[CORRELATIONS_BACKGROUND].buf,
+    };
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i += LANES)
         correlate_group(&paper, &group, &call->light, call->which, i, call->pixels, &results);
@@ -390,13 +412,12 @@ static int run_correlations(Call *call)
     return 1;
 }
 
-/* correlations(light, which, integers, half_width, windows, gaps, reference, pixel_delays, delay,
- * deviation, sums, background): see paper_compiled.py. */
 static PyObject *py_correlations(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, PAPER_BUFFERS, LIGHT, LAG) && run_correlations(&call));
+    return end(&call, begin(&call, args, CORRELATIONS_BUFFERS, CORRELATIONS_READS)
+                          && run_correlations(&call));
 }
 
 /* processor(): 2 if it knows AVX-512 (x86-64-v4), 1 if AVX2 and fused products (v3), else 0. */
@@ -419,12 +440,12 @@ static PyObject *py_processor(PyObject *self, PyObject *args)
 }
 
 static PyMethodDef methods[] = {
-    {"processor", py_processor, METH_NOARGS, "Which vector instructions there are: 0, 1 or 2."},
+    {"processor", py_processor, METH_NOARGS, "Number of faster builds that this processor runs."},
     {"sums", py_sums, METH_VARARGS, "Counts of pixels."},
-    {"contrasts", py_contrasts, METH_VARARGS, "What has changed; see hueflight.reconstruction.changes."},
-    {"correlations", py_correlations, METH_VARARGS, "The paper's method; see paper_compiled.py."},
-    {"remember", py_remember, METH_VARARGS, "What changes are told by."},
-    {"fit", py_fit, METH_VARARGS, "Joint fit of pixels; see hueflight.reconstruction.kernels."},
+    {"fit", py_fit, METH_VARARGS, "Joint fit of pixels."},
+    {"change_reference", py_change_reference, METH_VARARGS, "What later counts are compared with."},
+    {"change_significance", py_change_significance, METH_VARARGS, "How much counts have changed."},
+    {"correlations", py_correlations, METH_VARARGS, "The published method."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -435,7 +456,8 @@ static struct PyModuleDef module = {
 PyMODINIT_FUNC INIT(MODULE)(void)
 {
     PyObject *made = PyModule_Create(&module);
-    if (made && PyModule_AddIntConstant(made, "LANES", LANES)) {
+    if (made && (PyModule_AddIntConstant(made, "LANES", LANES)
+                 || PyModule_AddStringConstant(made, "ABI", ABI))) {
         Py_DECREF(made);
         return NULL;
     }

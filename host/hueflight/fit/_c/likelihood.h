@@ -8,7 +8,7 @@ typedef struct {
 } Lit;
 
 /* `place` has room for four vectors a block. */
-INLINE Lit lit_bins(const Level *level, const float *counts, float total, float *place)
+INLINE Lit lit_bins(const DelayTables *level, const float *counts, float total, float *place)
 {
     size_t room = (size_t)level->blocks * LANES;
     Lit lit = {0, (int32_t *)place, place + room, place + 2 * room, place + 3 * room};
@@ -24,7 +24,7 @@ INLINE Lit lit_bins(const Level *level, const float *counts, float total, float 
 
 /* Log-likelihood of expected counts against that of flat light: differences of large numbers
  * would lose single precision's digits. */
-INLINE double log_likelihood(const Level *level, const Lit *lit, float total, const vec *means)
+INLINE double log_likelihood(const DelayTables *level, const Lit *lit, float total, const vec *means)
 {
     vec excess = {0}, odd = {0}, gain = {0};
     int v = 0;
@@ -42,22 +42,22 @@ INLINE double log_likelihood(const Level *level, const Lit *lit, float total, co
     return (double)sum(gain) - (double)sum(excess);
 }
 
-/* Greatest log-likelihood at a track's delay with no amplitude below 0. */
-INLINE double best_likelihood(const Plan *plan, const float *counts, float total,
-                              const Track *track, vec *work)
+/* Greatest log-likelihood at a candidate's delay with no amplitude below 0. */
+INLINE double best_likelihood(const ModelTables *tables, const float *counts, float total,
+                              const Candidate *candidate, vec *work)
 {
-    const Level *level = &plan->fine;
-    int phase = phase_of(level, track->delay);
+    const DelayTables *level = &tables->fine;
+    int phase = phase_of(level, candidate->delay);
     vec *means = work, *seen = work + level->blocks;
-    float amplitudes[MOST_BANDS], least = 0.002f * total;
-    float background = track->background, dark = floor_of(&plan->rules, total);
+    float amplitudes[MOST_BANDS], least = LEAST_AMPLITUDE * total;
+    float background = candidate->background, dark = floor_of(&tables->rules, total);
     background = background > dark ? background : dark;
-    for (int k = 0; k < plan->bands; k++)
-        amplitudes[k] = track->amplitudes[k] > least ? track->amplitudes[k] : least;
-    for (int round = 0; round < plan->rules.rounds; round++) {
+    for (int k = 0; k < tables->bands; k++)
+        amplitudes[k] = candidate->amplitudes[k] > least ? candidate->amplitudes[k] : least;
+    for (int round = 0; round < tables->rules.rounds; round++) {
         vec gained[MOST_BANDS], whole[MOST_BANDS], dark_gained = {0}, dark_whole = {0};
-        memset(gained, 0, sizeof gained[0] * (size_t)plan->bands);
-        memset(whole, 0, sizeof whole[0] * (size_t)plan->bands);
+        memset(gained, 0, sizeof gained[0] * (size_t)tables->bands);
+        memset(whole, 0, sizeof whole[0] * (size_t)tables->bands);
         expect(level, phase, amplitudes, background, means, NULL);
         for (int v = 0; v < level->blocks; v++) {
             vec width = load(level->widths + v * LANES);
@@ -74,7 +74,7 @@ INLINE double best_likelihood(const Plan *plan, const float *counts, float total
             }
         }
         background *= sum(dark_gained) / sum(dark_whole);
-        for (int k = 0; k < plan->bands; k++) {
+        for (int k = 0; k < tables->bands; k++) {
             float all = sum(whole[k]);
             amplitudes[k] *= sum(gained[k]) / (all > 1e-12f ? all : 1e-12f);
         }
@@ -85,16 +85,15 @@ INLINE double best_likelihood(const Plan *plan, const float *counts, float total
 }
 
 /* Mean and variance of the delay under the likelihood around its maximum. */
-INLINE void posterior(const Plan *plan, const float *counts, float total, const Track *track,
+INLINE void posterior(const ModelTables *tables, const float *counts, float total, const Candidate *candidate,
                       vec *work, float *delay, float *variance)
 {
-    enum { MOST_NODES = 32 };
-    const Level *level = &plan->fine;
-    const Rules *rules = &plan->rules;
+    const DelayTables *level = &tables->fine;
+    const FitRules *rules = &tables->rules;
     double logs[MOST_NODES], delays[MOST_NODES], most = -INFINITY;
-    float stride = rintf(sqrtf(track->variance) * rules->spacing / level->phase_ns);
+    float stride = rintf(sqrtf(candidate->variance) * rules->node_spacing / level->phase_ns);
     stride = stride < 1 ? 1 : stride;
-    float middle = rintf((track->delay - level->first_ns) / level->phase_ns);
+    float middle = rintf((candidate->delay - level->first_ns) / level->phase_ns);
     float least = floor_of(rules, total);
     Lit lit = lit_bins(level, counts, total, (float *)(work + level->blocks));
     for (int node = 0; node < rules->nodes; node++) {
@@ -103,12 +102,12 @@ INLINE void posterior(const Plan *plan, const float *counts, float total, const 
         logs[node] = -INFINITY;
         if (place < 0 || place >= (float)level->phases)
             continue;
-        float shift = (float)(delays[node] - (double)track->delay), amplitudes[MOST_BANDS];
-        for (int k = 0; k < plan->bands; k++) {
-            float a = track->amplitudes[k] + shift * track->follow[k];
+        float shift = (float)(delays[node] - (double)candidate->delay), amplitudes[MOST_BANDS];
+        for (int k = 0; k < tables->bands; k++) {
+            float a = candidate->amplitudes[k] + shift * candidate->follow[k];
             amplitudes[k] = a > 0 ? a : 0;
         }
-        float background = track->background + shift * track->follow[plan->bands];
+        float background = candidate->background + shift * candidate->follow[tables->bands];
         background = background > least ? background : least;
         expect(level, (int)place, amplitudes, background, work, NULL);
         logs[node] = log_likelihood(level, &lit, total, work);

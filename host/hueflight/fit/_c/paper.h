@@ -64,7 +64,7 @@ INLINE void follow(const Paper *paper, Group *group, vec pedestal, double *delay
 {
     double from[LANES], to[LANES], edge = paper->most + 0.5;
     int first[LANES], last[LANES], some = paper->most + 1;
-    for (int round = 0; round < 3; round++) {
+    for (int round = 0; round < CENTROID_ROUNDS; round++) {
         int low = some, high = -some;
         for (int lane = 0; lane < LANES; lane++) {
             from[lane] = clipped(delay[lane] - paper->half_width, -edge, edge);
@@ -96,8 +96,8 @@ INLINE void shift_references(const Paper *paper, Group *group, const int32_t *wh
         row[lane] = group->reference[lane] - 2 * (whole[lane] + paper->reach);
     ivec pairs[LANES], before = {0}, *to = group->shifted - paper->reach;
     for (int at = 0; at < count; at += 2 * LANES, to += 2 * LANES) {
-        pairs_abreast(&REFERENCES, row, at, count, pairs);
-        before = running_abreast(pairs, before, to);
+        transposed_pairs(&REFERENCES, row, at, count, pairs);
+        before = transposed_running_sums(pairs, before, to);
     }
     *to = before;
 }

@@ -1,5 +1,5 @@
-/* Fisher scoring of as many tracks as a vector has lanes: sums over bins one track at a time, a
- * vector of bins at once; then the normal equations of all tracks, one a lane. */
+/* Fisher scoring of as many candidates as a vector has lanes: sums over bins one candidate at a time, a
+ * vector of bins at once; then the normal equations of all candidates, one a lane. */
 
 typedef struct {
     vec normal[MOST_SIZE * (MOST_SIZE + 1) / 2]; /* lower triangle, rows one after another */
@@ -9,19 +9,19 @@ typedef struct {
 
 #define AT(row, col) ((row) * ((row) + 1) / 2 + (col))
 
-INLINE int phase_of(const Level *level, float delay)
+INLINE int phase_of(const DelayTables *level, float delay)
 {
     int phase = (int)rintf((delay - level->first_ns) / level->phase_ns);
     return phase < 0 ? 0 : phase >= level->phases ? level->phases - 1 : phase;
 }
 
-INLINE float floor_of(const Rules *rules, float total)
+INLINE float floor_of(const FitRules *rules, float total)
 {
     return rules->floor_photons + rules->floor_share * total;
 }
 
 /* Expected counts of all blocks, and with `slopes` their derivative by the delay. */
-INLINE void expect(const Level *level, int phase, const float *amplitudes, float background,
+INLINE void expect(const DelayTables *level, int phase, const float *amplitudes, float background,
                    vec *means, vec *slopes)
 {
     for (int v = 0; v < level->blocks; v++) {
@@ -46,17 +46,17 @@ enum { TT, TB, BB, RT, RB, CUBIC, COMMON };
 enum { SELF, WIDTH, SLOPE, COUNTS, SUMS };
 #define MOST_PAIRS (MOST_BANDS * (MOST_BANDS - 1) / 2)
 
-/* Sums of one track over all bins, into its lane of the equations. `work` has room for five
+/* Sums of one candidate over all bins, into its lane of the equations. `work` has room for five
  * vectors a block. */
-INLINE void accumulate(const Level *level, const Rules *rules, const float *counts, float total,
-                       const Track *track, int bands, int phase, vec *work, Equations *into,
+INLINE void accumulate(const DelayTables *level, const FitRules *rules, const float *counts, float total,
+                       const Candidate *candidate, int bands, int phase, vec *work, Equations *into,
                        int lane)
 {
     float amplitudes[MOST_BANDS];
     for (int k = 0; k < bands; k++)
-        amplitudes[k] = track->amplitudes[k] > 0 ? track->amplitudes[k] : 0;
+        amplitudes[k] = candidate->amplitudes[k] > 0 ? candidate->amplitudes[k] : 0;
     float least = floor_of(rules, total);
-    float background = track->background > least ? track->background : least;
+    float background = candidate->background > least ? candidate->background : least;
     vec *weights = work, *along = work + level->blocks, *seen = along + level->blocks;
     vec *flat = seen + level->blocks;
     expect(level, phase, amplitudes, background, weights, along);
@@ -185,20 +185,20 @@ INLINE void solve(Equations *e, int size, float ridge)
             e->normal[AT(i, j)] *= scale[j];
 }
 
-/* One step of scoring for as many tracks as there are lanes, or fewer. `moved` tells of each one
+/* One step of scoring for as many candidates as there are lanes, or fewer. `moved` tells of each one
  * whether its delay or an amplitude moved by more than what a settled one may. */
-INLINE void step(const Plan *plan, const Level *level, const float *counts, size_t stride,
-                 const float *totals, const float *offsets, Track *const *tracks, int count,
+INLINE void step(const ModelTables *tables, const DelayTables *level, const float *counts, size_t stride,
+                 const float *totals, const float *offsets, Candidate *const *candidates, int count,
                  vec *work, Equations *e, int *moved)
 {
-    const Rules *rules = &plan->rules;
-    int bands = plan->bands, size = bands + 2, t = bands + 1;
+    const FitRules *rules = &tables->rules;
+    int bands = tables->bands, size = bands + 2, t = bands + 1;
     float near = rules->settled * rules->settled;
     float alike = rules->settled_amplitude * rules->settled_amplitude;
     float range = rules->high_ns - rules->low_ns, widest = 12 / (range * range);
     float here[LANES];
-    for (int lane = 0; lane < LANES; lane++) { /* lanes to spare repeat the first track */
-        const Track *track = tracks[lane < count ? lane : 0];
+    for (int lane = 0; lane < LANES; lane++) { /* lanes to spare repeat the first candidate */
+        const Candidate *candidate = candidates[lane < count ? lane : 0];
         if (lane >= count) {
             for (int i = 0; i < AT(size, 0); i++)
                 e->normal[i][lane] = e->normal[i][0];
@@ -206,11 +206,11 @@ INLINE void step(const Plan *plan, const Level *level, const float *counts, size
                 e->right[i][lane] = e->right[i][0];
             continue;
         }
-        int phase = phase_of(level, track->delay);
+        int phase = phase_of(level, candidate->delay);
         here[lane] = level->first_ns + (float)phase * level->phase_ns;
-        accumulate(level, rules, counts + (size_t)track->pixel * stride, totals[track->pixel],
-                   track, bands, phase, work, e, lane);
-        float most = 2 * totals[track->pixel] + 10, known = 1 / (most * most);
+        accumulate(level, rules, counts + (size_t)candidate->pixel * stride, totals[candidate->pixel],
+                   candidate, bands, phase, work, e, lane);
+        float most = 2 * totals[candidate->pixel] + 10, known = 1 / (most * most);
         for (int k = 0; k <= bands; k++)
             e->normal[AT(k, k)][lane] += known;
         e->normal[AT(t, t)][lane] += widest;
@@ -223,27 +223,27 @@ INLINE void step(const Plan *plan, const Level *level, const float *counts, size
             spread[k] += e->normal[AT(i, k)] * e->normal[AT(i, k)];
     }
     for (int lane = 0; lane < count; lane++) {
-        Track *track = tracks[lane];
+        Candidate *candidate = candidates[lane];
         float move = e->right[t][lane], limit = rules->spread_ns;
         move = move > limit ? limit : move < -limit ? -limit : move;
-        float offset = offsets[track->pixel];
+        float offset = offsets[candidate->pixel];
         float low = offset + rules->low_ns, high = offset + rules->high_ns;
         float delay = here[lane] + move;
         delay = delay < low ? low : delay > high ? high : delay;
-        track->background = e->right[bands][lane];
-        track->cubic = e->cubic[lane];
+        candidate->background = e->right[bands][lane];
+        candidate->cubic = e->cubic[lane];
         float tip = e->normal[AT(t, t)][lane];
-        track->variance = tip * tip;
-        float change = delay - track->delay;
+        candidate->variance = tip * tip;
+        float change = delay - candidate->delay;
         moved[lane] = change * change > near * tip * tip;
-        track->delay = delay;
+        candidate->delay = delay;
         for (int k = 0; k <= bands; k++) /* change of a parameter that follows the delay's */
-            track->follow[k] = e->normal[AT(t, k)][lane] / tip;
+            candidate->follow[k] = e->normal[AT(t, k)][lane] / tip;
         for (int k = 0; k < bands; k++) {
-            change = e->right[k][lane] - track->amplitudes[k];
+            change = e->right[k][lane] - candidate->amplitudes[k];
             moved[lane] |= change * change > alike * spread[k][lane];
-            track->amplitudes[k] = e->right[k][lane];
-            track->spread[k] = spread[k][lane];
+            candidate->amplitudes[k] = e->right[k][lane];
+            candidate->spread[k] = spread[k][lane];
         }
     }
 }

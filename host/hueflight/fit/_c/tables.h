@@ -1,12 +1,9 @@
-/* The tables of a plan, and what pixels are on their way through the fit. See plan.py and fit.py:
+/* The tables of a tables, and what pixels are on their way through the fit. See tables.py and fit.py:
  * these are the definition, names here are theirs. */
-#define MOST_BANDS 30
 #define MOST_SIZE (MOST_BANDS + 2)
 #define TILE 64        /* pixels at once */
-#define TRACKS (2 * TILE)
-#define PARTY 4        /* pixels that search together */
-#define RATIOS 3
-#define SHARES 3
+#define CANDIDATES (2 * TILE)
+#define BATCH 4        /* pixels that search together */
 
 /* Successive blocks of bins, a vector each, that one band lights. */
 typedef struct {
@@ -29,7 +26,7 @@ typedef struct {
     const uint8_t *pair_bands; /* two bands of each pair that share a block, the greater first */
     const int32_t *meets;      /* phases + 1: first meeting of each phase */
     const Meeting *meetings;
-} Level;
+} DelayTables;
 
 typedef struct {
     int factor, bins, lags, separation;
@@ -40,28 +37,20 @@ typedef struct {
     const int32_t *places; /* lags + 1: first run of each lag */
     const int16_t *runs;   /* band, first bin, one past the last */
     const float *widths, *shares; /* lags × bands */
-} Coarse;
-
-typedef struct {
-    float shares[SHARES], logs[SHARES];
-    int steps, few_steps, nodes, rounds;
-    float settled, floor_photons, floor_share, ridge, margin, ambiguous, few, spacing;
-    float spread_ns, low_ns, high_ns, target_ns, raster, dark_width, settled_amplitude, fewest;
-    int rough, settle, posterior;
-} Rules;
+} SearchTables;
 
 typedef struct {
     int bands, views;
     const int32_t *sizes;  /* sensor's bins of each view */
     int factor, bins;      /* sensor's bins in a fine one; of all views */
-    Level fine, rough;
-    Coarse coarse;
-    Rules rules;
-} Plan;
+    DelayTables fine, wide;
+    SearchTables search;
+    FitRules rules;
+} ModelTables;
 
 /* One delay on trial for one pixel. */
 typedef struct {
     int pixel, steps, live;
     float delay, background, cubic, variance;
     float amplitudes[MOST_BANDS], spread[MOST_BANDS], follow[MOST_BANDS + 1];
-} Track;
+} Candidate;

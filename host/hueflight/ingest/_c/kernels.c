@@ -50,7 +50,7 @@ static PyObject *py_scan(PyObject *self, PyObject *args)
     PyObject *data, *state, *chunks, *headers, *places, *others, *answer = NULL;
     Py_ssize_t start, frames, limit;
     int final, rows, cols, bits, run;
-    if (!PyArg_ParseTuple(args, "OnpiiinniOOOOO", &data, &start, &final, &rows, &cols, &bits,
+    if (!PyArg_ParseTuple(args, SCAN_ARGUMENTS, &data, &start, &final, &rows, &cols, &bits,
                           &frames, &limit, &run, &state, &chunks, &headers, &places, &others))
         return NULL;
     if (start < 0 || frames < 0 || frames > limit || limit < 1 || limit > MOST_FRAMES || run < 0
@@ -104,7 +104,7 @@ static PyObject *py_count(PyObject *self, PyObject *args)
     PyObject *data, *chunks, *chosen, *out, *done, *answer = NULL;
     Py_ssize_t stride, begin, end;
     int pixels, bits, run, wide, mode;
-    if (!PyArg_ParseTuple(args, "OOnOiiiOpiOnn", &data, &chunks, &stride, &chosen, &pixels, &bits,
+    if (!PyArg_ParseTuple(args, COUNT_ARGUMENTS, &data, &chunks, &stride, &chosen, &pixels, &bits,
                           &run, &out, &wide, &mode, &done, &begin, &end))
         return NULL;
     if (pixels < 1 || pixels > MAX_SIDE * MAX_SIDE || bits < 1 || bits > MAX_BITS || run < MIN_RUN
@@ -177,24 +177,7 @@ static PyMethodDef methods[] = {
 static int start_up(PyObject *module)
 {
     start_kernels();
-#define X(name) #name " "
-    if (PyModule_AddStringConstant(module, "STATE", STATE(X)))
-        return -1;
-#undef X
-#define X(name) {#name, name},
-    static const struct { const char *name; long value; } constants[] = {
-        X(VERSION) X(FRAME) X(FRAME_HEADER) X(OTHER_HEADER) X(MAX_HEADER) X(FRAME_TRAILER)
-        X(OTHER_TRAILER) X(LAST_KNOWN_TYPE) X(MAX_BODY) X(MAX_SIDE) X(MAX_BITS) X(MIN_RUN)
-        X(MAX_RUN) X(MAX_CHUNKS) X(KNOWN_FLAGS) X(PAD) X(BITMAP) X(DENSE) X(END) X(AT_TYPE)
-        X(AT_HEADER_BYTES) X(AT_LENGTH) X(AT_SEQUENCE) X(AT_TIMESTAMP) X(AT_FRAME) X(AT_DROPPED)
-        X(AT_ROWS) X(AT_COLS) X(AT_RUN) X(AT_CODE_BITS) X(AT_FLAGS) X(AT_STEP) X(AT_CAPTURE)
-        X(TILE) X(MOST_FRAMES) X(ADD) X(STORE) X(SATURATE) X(SUBTRACT)
-    };
-#undef X
-    for (size_t i = 0; i < sizeof constants / sizeof *constants; i++)
-        if (PyModule_AddIntConstant(module, constants[i].name, constants[i].value))
-            return -1;
-    return PyModule_AddIntConstant(module, "MAGIC", (long)MAGIC);
+    return PyModule_AddStringConstant(module, "ABI", ABI);
 }
 
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)start_up}, {0, NULL}};

@@ -8,7 +8,6 @@ enum {
     ROWS_WINDOW = 32, /* codes of a window (see window_counters.h) */
     ROWS_AHEAD = 24 /* prefetch distance, in rows of the table */
 };
-enum { ADD, STORE, SATURATE, SUBTRACT };
 #define NO_PHOTON(seen, from, to) ((from) == 0 && (to) > 0 ? (seen)[0] : 0) /* of code 0 */
 
 typedef struct { uint16_t *at; size_t stride, from, to; } Seen; /* counters of codes from..to-1 */

@@ -6,20 +6,6 @@
  * 0 (F10), and that no packed code contradicts its chunk's hits (F11). A packet that passes its CRC
  * and breaks these rules comes from a faulty encoder. It cannot misplace the counts of other
  * pixels, and the report shows it as miscounted. */
-/* State and totals that scanning carries from one piece to the next. Python sees them as an array
- * of int64 with these names in this order. */
-#define STATE(X) \
-    X(in_step) X(has_sequence) X(sequence) X(has_dropped) X(capture) X(last_dropped) \
-    X(packets) X(frames) X(aborted) X(repeated) X(foreign) X(damaged) X(skipped_bytes) \
-    X(missing) X(restarts) X(dropped) X(dropped_before) X(hits) \
-    X(foreign_rows) X(foreign_cols) X(foreign_bits) \
-    X(masked) X(roi) X(gated) X(saturated) X(test_pattern) X(simulated) X(trigger_lost)
-typedef struct {
-#define X(name) int64_t name;
-    STATE(X)
-#undef X
-} State;
-
 typedef enum { GOOD, MORE, NO_HEADER, BAD } Verdict;
 
 typedef struct {
@@ -42,7 +28,7 @@ typedef struct {
 
 INLINE uint64_t chunk_entry(size_t offset, unsigned hits, unsigned kind)
 {
-    return (uint64_t)offset | (uint64_t)hits << 32 | (uint64_t)kind << 48;
+    return (uint64_t)offset | (uint64_t)hits << HITS_SHIFT | (uint64_t)kind << KIND_SHIFT;
 }
 
 /* Payload bytes of a chunk, and the number of hits from which it is dense (rule F9). */

@@ -2,12 +2,10 @@
  * are then added to the table once. Counting frame by frame would scatter into a table that is
  * larger than any cache. */
 enum {
-    TILE = 64,    /* pixels counted at a time */
     LINE = 64,    /* bytes of a cache line */
     AHEAD = 8,    /* prefetch distance, in frames */
     FETCH_MOST = 1 << 18, /* bytes of rows that are prefetched: half of a small level-2 cache */
-    SLACK = 8,    /* bytes that may be read past a payload: the trailer of its packet is longer */
-    MOST_FRAMES = 65535 /* largest value of a counter of a tile */
+    SLACK = 8     /* bytes that may be read past a payload: the trailer of its packet is longer */
 };
 
 typedef struct { const uint8_t *bits, *codes; uint16_t hits, used; } Sparse;
@@ -156,7 +154,7 @@ static int sort_chunk(Count *count, size_t chunk, const Shape *shape)
         if (!entry)
             continue;
         size_t offset = (uint32_t)entry;
-        unsigned hits = (uint16_t)(entry >> 32), kind = (unsigned)(entry >> 48);
+        unsigned hits = (uint16_t)(entry >> HITS_SHIFT), kind = (unsigned)(entry >> KIND_SHIFT);
         if (hits > shape->pixels || (kind != DENSE && kind != BITMAP)
             || offset + payload_bytes(shape, hits, kind) + SLACK > size)
             return 0;

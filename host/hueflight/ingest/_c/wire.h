@@ -1,8 +1,9 @@
-/* The wire format, version 1, as numbers. kernels.py checks them against hueflight_protocol, whose
- * declarations are their definition, each time the kernels are loaded. */
+/* What reading the wire format takes: its numbers, which abi.h has from hueflight_protocol, and
+ * loads of any alignment. */
 #ifndef HUEFLIGHT_WIRE_H
 #define HUEFLIGHT_WIRE_H
 #include <stdint.h>
+#include "abi.h"
 #include <stdlib.h>
 #include <string.h>
 
@@ -31,16 +32,6 @@
 #define LOWEST_BIT(m) ((unsigned)__builtin_ctzll(m))
 #define POPCOUNT(m) ((unsigned)__builtin_popcountll(m))
 
-enum {
-    VERSION = 1, FRAME = 1, FRAME_HEADER = 64, OTHER_HEADER = 32, MAX_HEADER = 256,
-    FRAME_TRAILER = 16, OTHER_TRAILER = 8, LAST_KNOWN_TYPE = 5, MAX_BODY = 1 << 20,
-    MAX_SIDE = 1024, MAX_BITS = 16, MIN_RUN = 8, MAX_RUN = 4096, MAX_CHUNKS = 1 << 14,
-    KNOWN_FLAGS = 0x7f, PAD = 0, BITMAP = 1, DENSE = 2, END = 3,
-    AT_TYPE = 5, AT_HEADER_BYTES = 6, AT_LENGTH = 8, AT_SEQUENCE = 12, AT_TIMESTAMP = 16,
-    AT_FRAME = 24, AT_DROPPED = 36, AT_ROWS = 40, AT_COLS = 42, AT_RUN = 44, AT_CODE_BITS = 46,
-    AT_FLAGS = 48, AT_STEP = 50, AT_CAPTURE = 52
-};
-static const uint32_t MAGIC = 0x657548a7u;
 static const uint32_t STREAMED = 0xffffffffu;
 
 INLINE uint16_t load16(const uint8_t *p) { return (uint16_t)(p[0] | p[1] << 8); }

@@ -1,4 +1,4 @@
-"""Pools of neighbours: each grows in rounds, and ends where neighbours show something else."""
+"""Pools of neighbors: each grows in rounds, and ends where neighbors show something else."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hueflight.reconstruction.pooled.kernels import (
     in_parts,
     pool,
     scores,
-    slot_counts,
+    window_counts,
 )
 from hueflight.reconstruction.pooled.tables import Tables
 
-RADII = (1.5, 3.0, 6.0, 14.0)  #: of the rounds by colour and depth
-LIMITS = Limits(colour=10.0, depth_colour=15.0, depth=12.0)
+RADII = (1.5, 3.0, 6.0, 14.0)  #: of the rounds by color and depth
+LIMITS = Limits(color=10.0, depth_color=15.0, depth=12.0)
 LAST_RADIUS = 20.0  #: of the round for the depth of pools that then still lack photons,
-LAST_LIMITS = Limits(colour=10.0, depth_colour=20.0, depth=12.0)  #: where depths are known better
+LAST_LIMITS = Limits(color=10.0, depth_color=20.0, depth=12.0)  #: where depths are known better
 PRIOR_PIXELS = 0.15  #: so many pixels of the image's mean count in every pool
 FLOOR = 0.01  #: of a pool's photons: least amplitude and background in the weights
 TINY = np.float32(1e-12)  #: keeps pools without a photon from dividing by 0
@@ -38,14 +38,14 @@ class Pools:
     Attributes
     ----------
     delays_ns, variances : of the delay.
-    slots : (slot, row, col) mean photons per pixel.
+    windows : (window, row, col) mean photons per pixel.
     pixels, depth_pixels : so many that an equal-weight pool would hold as many.
     information : on the delay, per ns².
     """
 
     delays_ns: Floats
     variances: Floats
-    slots: Floats
+    windows: Floats
     pixels: Floats
     depth_pixels: Floats
     information: Floats
@@ -61,30 +61,30 @@ def grown(
     threads: int,
 ) -> Pools:
     """Pools of all pixels, each closed when it holds enough."""
-    slots = slots_of(seen, pilot, tables)
+    windows = windows_of(seen, pilot, tables)
     ones = usable.astype(np.float32)
-    around = _box(np.concatenate([slots, ones[None]]), 4, threads)
+    around = _box(np.concatenate([windows, ones[None]]), 4, threads)
     score, information = _scored(seen, pilot, around[:-1] / np.maximum(around[-1], 1), tables)
-    data = np.concatenate([slots, np.stack([information, information * pilot + score, ones])])
-    pools = first_pools(slots, pilot, _box(information[None], 2, threads)[0], usable, threads)
+    data = np.concatenate([windows, np.stack([information, information * pilot + score, ones])])
+    pools = first_pools(windows, pilot, _box(information[None], 2, threads)[0], usable, threads)
     active = np.ones(pilot.shape, bool)
     for radius in RADII:
-        like = likeness(pools, slots, usable, tables)
-        found = pool(data, len(slots), usable, active, like, radius, LIMITS, threads=threads)
+        like = likeness(pools, windows, usable, tables)
+        found = pool(data, len(windows), usable, active, like, radius, LIMITS, threads=threads)
         last = radius == RADII[-1]
         pools, active = _closed(pools, active, found, tables, search_ns, enough, last=last)
         if not active.any():
             break
-    lacking = usable & (pools.slots.sum(axis=0) * pools.pixels < enough)
+    lacking = usable & (pools.windows.sum(axis=0) * pools.pixels < enough)
     if lacking.any():
-        pools = _looked_again(seen, pools, slots, usable, lacking, tables, search_ns, threads)
+        pools = _looked_again(seen, pools, windows, usable, lacking, tables, search_ns, threads)
     return pools
 
 
 def _looked_again(
     seen: Photons,
     pools: Pools,
-    slots: Floats,
+    windows: Floats,
     usable: NDArray[np.bool_],
     lacking: NDArray[np.bool_],
     tables: Tables,
@@ -93,13 +93,13 @@ def _looked_again(
 ) -> Pools:
     """Pools with the depth of those that lack photons from a wider circle.
 
-    Until now neighbours were judged by the pilot's delays, which are blurred across steps; now all
+    Until now neighbors were judged by the pilot's delays, which are blurred across steps; now all
     have their pools' own.
     """
-    score, information = _scored(seen, pools.delays_ns, pools.slots, tables)
+    score, information = _scored(seen, pools.delays_ns, pools.windows, tables)
     moment = information * pools.delays_ns + score
     data = np.stack([information, moment, usable.astype(np.float32)])
-    like = likeness(pools, slots, usable, tables)
+    like = likeness(pools, windows, usable, tables)
     found = pool(data, 0, usable, lacking, like, LAST_RADIUS, LAST_LIMITS, threads=threads)
     delays_ns, variances, pixels, _ = _depth_of(found, pools.delays_ns, tables, search_ns)
     return replace(
@@ -110,54 +110,54 @@ def _looked_again(
     )
 
 
-def slots_of(seen: Photons, delays_ns: Floats, tables: Tables) -> Floats:
-    """Photons (slot, row, col) of the pixels themselves."""
+def windows_of(seen: Photons, delays_ns: Floats, tables: Tables) -> Floats:
+    """Photons (window, row, col) of the pixels themselves."""
     count = tables.bands + 1
-    found = slot_counts(seen, delays_ns.ravel(), tables.slots, tables.cells_per_ns, count)
+    found = window_counts(seen, delays_ns.ravel(), tables.windows, tables.cells_per_ns, count)
     return found.reshape(count, *delays_ns.shape)
 
 
 def first_pools(
-    slots: Floats,
+    windows: Floats,
     delays_ns: Floats,
     information: Floats,
     usable: NDArray[np.bool_],
     threads: int,
 ) -> Pools:
     """Pools to begin with: squares of three pixels."""
-    near = _box(np.concatenate([slots, usable[None].astype(np.float32)]), 1, threads)
+    near = _box(np.concatenate([windows, usable[None].astype(np.float32)]), 1, threads)
     return Pools(
         delays_ns=delays_ns,
         variances=np.full(delays_ns.shape, np.inf, np.float32),
-        slots=near[:-1] / np.maximum(near[-1], 1),
+        windows=near[:-1] / np.maximum(near[-1], 1),
         pixels=near[-1],
         depth_pixels=near[-1],
         information=information,
     )
 
 
-def likeness(pools: Pools, slots: Floats, usable: NDArray[np.bool_], tables: Tables) -> Likeness:
-    """What neighbours are judged by; the image's mean keeps empty pools from being sure."""
-    mean = slots.sum(axis=(1, 2)) / max(int(usable.sum()), 1)
+def likeness(pools: Pools, windows: Floats, usable: NDArray[np.bool_], tables: Tables) -> Likeness:
+    """What neighbors are judged by; the image's mean keeps empty pools from being sure."""
+    mean = windows.sum(axis=(1, 2)) / max(int(usable.sum()), 1)
     prior = (tables.groups.T @ mean * PRIOR_PIXELS)[:, None, None]
-    groups = np.einsum("sg,srp->grp", tables.groups, pools.slots)
+    groups = np.einsum("sg,srp->grp", tables.groups, pools.windows)
     means = (groups * pools.pixels + prior) / (pools.pixels + np.float32(PRIOR_PIXELS))
     return Likeness(means, pools.delays_ns, pools.pixels, pools.information)
 
 
-def unmixed_of(slots: Floats, unmixing: Floats) -> Floats:
-    """Amplitudes (band, row, col), background last, behind photons in slots.
+def unmixed_of(windows: Floats, unmixing: Floats) -> Floats:
+    """Amplitudes (band, row, col), background last, behind photons in windows.
 
     Not a matrix product: threads of the linear algebra would wait for one another longer than so
     small a one takes.
     """
-    return np.einsum("as,srp->arp", unmixing, slots)
+    return np.einsum("as,srp->arp", unmixing, windows)
 
 
 def _scored(
     seen: Photons, delays_ns: Floats, spectrum: Floats, tables: Tables
 ) -> tuple[Floats, Floats]:
-    """Score and information (row, col) of the delays, given photons in slots around a pixel."""
+    """Score and information (row, col) of the delays, given photons in windows around a pixel."""
     total = spectrum.sum(axis=0)
     unmixed = unmixed_of(spectrum, tables.unmixing)
     unmixed = np.maximum(unmixed, FLOOR * total + np.float32(1e-9))
@@ -196,7 +196,7 @@ def _closed(
     after = Pools(
         delays_ns=np.where(closing, moved, pools.delays_ns).astype(np.float32),
         variances=np.where(closing, variances, pools.variances),
-        slots=np.where(active, mean, pools.slots),
+        windows=np.where(active, mean, pools.windows),
         pixels=np.where(active, pixels, pools.pixels),
         depth_pixels=np.where(active, depth_pixels, pools.depth_pixels),
         information=np.where(active, information, pools.information),
@@ -214,7 +214,7 @@ def _depth_of(
     step = moment / np.maximum(information, TINY) - delays_ns
     most_ns = STEP_PER_FWHM * tables.fwhm_ns
     moved = delays_ns + np.clip(step, -most_ns, most_ns)
-    # Σ w² I / (Σ w I)², for neighbours that tell about as much
+    # Σ w² I / (Σ w I)², for neighbors that tell about as much
     variances = found.depth_squares / level / np.maximum(information, TINY)
     return np.clip(moved, *search_ns), variances, pixels, information / level * pixels
 

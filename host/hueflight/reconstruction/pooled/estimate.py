@@ -1,13 +1,13 @@
-"""Images from a few photons per pixel: neighbours lend photons where a pixel's own don't suffice.
+"""Images from a few photons per pixel: neighbors lend photons where a pixel's own don't suffice.
 
 1. *Pilot*: the delay of each pixel from the likelihood of a white train over a square that holds
-   enough photons; then over neighbours of the same colour, so that it does not blur steps.
-2. *Pooling*: in circles that grow from round to round a pixel takes in the photons of neighbours
-   that its pool so far does not contradict, in brightness and colour or in depth. Its pool is
+   enough photons; then over neighbors of the same color, so that it does not blur steps.
+2. *Pooling*: in circles that grow from round to round a pixel takes in the photons of neighbors
+   that its pool so far does not contradict, in brightness and color or in depth. Its pool is
    closed as soon as it holds enough. Pools that lack photons take their depth from a wider
    circle, judged by all depths found.
 3. *Estimate*: delay by one step of scoring over the pool, amplitudes from its photons in the
-   slots between pulses. A pixel that has enough photons of its own gets the joint fit.
+   windows between pulses. A pixel that has enough photons of its own gets the joint fit.
 
 Every pixel reports how many pixels its estimate rests on.
 """
@@ -31,8 +31,8 @@ from hueflight.reconstruction.pooled.adaptive_weights import (
     first_pools,
     grown,
     likeness,
-    slots_of,
     unmixed_of,
+    windows_of,
 )
 from hueflight.reconstruction.pooled.kernels import (
     Floats,
@@ -49,8 +49,8 @@ from hueflight.reconstruction.reflectance import reflectance_scale
 LAG_PER_FWHM = 0.28  #: between delays of the pilot, in pulses of the shortest band
 PILOT_PHOTONS = 300.0  #: in the square of the pilot
 PILOT_REACHES = (1, 2, 3, 4, 6, 9, 13)  #: squares of 2·reach + 1 pixels
-SIGHT_PHOTONS = 150.0  #: that neighbours of the same colour must hold to be better
-SIGHT_RADII = (3.0, 6.0)  #: of the rounds by colour alone, in pixels
+SIGHT_PHOTONS = 150.0  #: that neighbors of the same color must hold to be better
+SIGHT_RADII = (3.0, 6.0)  #: of the rounds by color alone, in pixels
 ENOUGH = 1000.0  #: photons that a pool is closed with
 
 
@@ -65,7 +65,7 @@ def estimate(
     enough: float = ENOUGH,
     threads: int = 1,
 ) -> Estimates:
-    """Depth and reflectance of every pixel, with the help of its neighbours.
+    """Depth and reflectance of every pixel, with the help of its neighbors.
 
     Parameters
     ----------
@@ -218,24 +218,24 @@ def _sharpened(
     tables: Tables,
     threads: int,
 ) -> Floats:
-    """Delay (row, col) over neighbours of the same colour instead of over squares."""
-    slots = slots_of(seen, pilot, tables)
-    pools = first_pools(slots, pilot, np.zeros_like(pilot), usable, threads)
+    """Delay (row, col) over neighbors of the same color instead of over squares."""
+    windows = windows_of(seen, pilot, tables)
+    pools = first_pools(windows, pilot, np.zeros_like(pilot), usable, threads)
     active = np.ones(pilot.shape, bool)
     planes = np.concatenate(
-        [np.moveaxis(sight.likelihood, -1, 0), slots.sum(axis=0, keepdims=True)]
+        [np.moveaxis(sight.likelihood, -1, 0), windows.sum(axis=0, keepdims=True)]
     )
     for radius in SIGHT_RADII:
         last = radius == SIGHT_RADII[-1]
-        like = likeness(pools, slots, usable, tables)
-        data, spectral = (planes, 0) if last else (slots, len(slots))
+        like = likeness(pools, windows, usable, tables)
+        data, spectral = (planes, 0) if last else (windows, len(windows))
         found = pool(data, spectral, usable, active, like, radius, LIMITS, threads=threads)
         if last:
             sharp = sight.delays(np.moveaxis(found.sums[:-1], 0, -1))
             return np.where(found.sums[-1] >= SIGHT_PHOTONS, sharp, pilot)
         pools = replace(
             pools,
-            slots=found.sums / np.maximum(found.weight, TINY),
+            windows=found.sums / np.maximum(found.weight, TINY),
             pixels=found.weight**2 / np.maximum(found.squares, TINY),
         )
     return pilot
@@ -318,9 +318,9 @@ def _in_metres(
     deviation_ns = np.sqrt(pools.variances)
     known_ns = calibration.pixel_delay_std_ns / np.sqrt(np.maximum(pools.depth_pixels, 1))
     depth_std = np.hypot(deviation_ns, known_ns) * along_axis
-    unmixed = unmixed_of(pools.slots, tables.unmixing)
-    variance = unmixed_of(pools.slots, tables.unmixing**2) / np.maximum(pools.pixels, 1e-12)
-    photons = pools.slots.sum(axis=0).astype(np.float64)
+    unmixed = unmixed_of(pools.windows, tables.unmixing)
+    variance = unmixed_of(pools.windows, tables.unmixing**2) / np.maximum(pools.pixels, 1e-12)
+    photons = pools.windows.sum(axis=0).astype(np.float64)
     scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
     if range_correction:
         ratio = depth / calibration.distance if calibration.distance > 0 else np.nan * depth

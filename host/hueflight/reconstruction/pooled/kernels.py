@@ -1,8 +1,8 @@
-"""Loops over photons and over neighbours, compiled where that could be: the same either way.
+"""Loops over photons and over neighbors, compiled where that could be: the same either way.
 
 Few photons are handled one by one, not by histogram: a list of arrival times per pixel. What a
-pixel lacks its neighbours lend, each with a weight between 0 and 1 that falls with distance and
-to 0 where the pixel's own pool so far says that the neighbour shows something else (propagation
+pixel lacks its neighbors lend, each with a weight between 0 and 1 that falls with distance and
+to 0 where the pixel's own pool so far says that the neighbor shows something else (propagation
 and separation: Polzehl and Spokoiny, J. R. Stat. Soc. B 62, 335, 2000).
 
 The compiled loops are taken where they were built; see `hueflight.backend`.
@@ -22,9 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight import backend
-
-LANES = 16  #: pixels that the compiled loop takes side by side
-MOST_PLANES, MOST_GROUPS = 40, 8  #: that it has room for
+from hueflight.backend.pooled import (
+    GRID,
+    LAGS,
+    LANES,
+    LIST,
+    MOST_GROUPS,
+    MOST_PLANES,
+    PERIOD,
+    POOL,
+    POOL_LIMITS,
+    POOL_SIZES,
+    SCORES,
+    WINDOWS,
+)
 
 ENTRIES = 12  #: a pixel that photons are at first given room for
 
@@ -78,6 +89,10 @@ class Photons:
         """(entry,) pixel of each entry."""
         return np.repeat(np.arange(self.pixels), np.diff(self.starts))
 
+    def buffers(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays as the compiled loops name them."""
+        return {"starts": self.starts, "times": self.times_ns, "weights": self.weights}
+
     def part(self, stretch: tuple[int, int]) -> Photons:
         """Photons of a stretch of pixels."""
         starts = self.starts[stretch[0] : stretch[1] + 1]
@@ -124,12 +139,22 @@ def list_photons(
         )
     if counts.dtype not in (np.uint16, np.uint32, np.float32):
         counts = counts.astype(np.float32)
-    given = (np.ascontiguousarray(counts), times_ns, offsets_ns, period)
+    counts = np.ascontiguousarray(counts)
     starts = np.zeros(len(counts) + 1, np.int64)
     room = ENTRIES * len(counts) + times_ns.size
     while True:
         time, weight = np.empty((2, room), np.float32)
-        native.list(*given, starts, time, weight)
+        native.list(
+            *LIST.arguments(
+                counts=counts,
+                code_times=times_ns,
+                pixel_delays=offsets_ns,
+                period=PERIOD.pack(period_ns=period_ns),
+                starts=starts,
+                times=time,
+                weights=weight,
+            )
+        )
         if starts[-1] + times_ns.size <= room:
             return Photons(starts, time[: starts[-1]], weight[: starts[-1]])
         room = int(starts[-1]) + times_ns.size
@@ -142,10 +167,10 @@ def lag_likelihood(
     result = np.zeros((photons.pixels, lags.size), np.float32)
     native = backend.compiled("pooled")
     if native is not None:
-        scale = np.array([cells_per_ns], np.float32)
+        grid = GRID.pack(cells_per_ns=cells_per_ns)
         native.lags(
-            photons.starts, photons.times_ns, photons.weights, table, scale, lags, result
-        )  # fmt: skip
+            *LAGS.arguments(**photons.buffers(), table=table, grid=grid, lags=lags, result=result)
+        )
         return result
     cell = _cells(photons, np.float32(0), cells_per_ns, table.size)
     for index, lag in enumerate(lags):
@@ -153,20 +178,25 @@ def lag_likelihood(
     return result
 
 
-def slot_counts(
-    photons: Photons, delays_ns: Floats, slots: NDArray[np.int8], cells_per_ns: float, count: int
+def window_counts(
+    photons: Photons, delays_ns: Floats, windows: NDArray[np.int8], cells_per_ns: float, count: int
 ) -> Floats:
-    """Photons (slot, pixel) by the slot (cell,) that their time after the delay falls into."""
+    """Photons (window, pixel) by the window (cell,) that their time after the delay falls into."""
     result = np.zeros((count, photons.pixels), np.float32)
     native = backend.compiled("pooled")
     if native is not None:
-        scale = np.array([cells_per_ns], np.float32)
-        native.slots(
-            photons.starts, photons.times_ns, photons.weights, delays_ns, slots, scale, result
-        )  # fmt: skip
+        native.windows(
+            *WINDOWS.arguments(
+                **photons.buffers(),
+                delays=delays_ns,
+                owners=windows,
+                grid=GRID.pack(cells_per_ns=cells_per_ns),
+                result=result,
+            )
+        )
         return result
-    cell = _cells(photons, delays_ns[photons.owners], cells_per_ns, slots.size)
-    np.add.at(result, (slots[cell], photons.owners), photons.weights)
+    cell = _cells(photons, delays_ns[photons.owners], cells_per_ns, windows.size)
+    np.add.at(result, (windows[cell], photons.owners), photons.weights)
     return result
 
 
@@ -190,11 +220,19 @@ def scores(
     native = backend.compiled("pooled")
     if native is not None:
         score, information = np.empty((2, photons.pixels), np.float32)
-        scale = np.array([cells_per_ns], np.float32)
         native.scores(
-            photons.starts, photons.times_ns, photons.weights, delays_ns, shares, slopes,
-            np.ascontiguousarray(amplitudes), floors, scale, score, information,
-        )  # fmt: skip
+            *SCORES.arguments(
+                **photons.buffers(),
+                delays=delays_ns,
+                shares=shares,
+                slopes=slopes,
+                amplitudes=np.ascontiguousarray(amplitudes),
+                floors=floors,
+                grid=GRID.pack(cells_per_ns=cells_per_ns),
+                score=score,
+                information=information,
+            )
+        )
         return score, information
     owners = photons.owners
     cell = _cells(photons, delays_ns[owners], cells_per_ns, len(shares))
@@ -211,16 +249,16 @@ def _cells(
     return np.floor(place).astype(np.intp) % cells
 
 
-# -- neighbours -------------------------------------------------------------------------------
+# -- neighbors -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Pooled:
-    """Sums over neighbours.
+    """Sums over neighbors.
 
     Attributes
     ----------
-    sums : (plane, row, col), each neighbour's data times its weight.
+    sums : (plane, row, col), each neighbor's data times its weight.
     weight, squares : (row, col) sums of the weights and of their squares.
     depth_squares : (row, col) sum of the squares of the weights that hold for the depth.
     """
@@ -233,7 +271,7 @@ class Pooled:
 
 @dataclass(frozen=True)
 class Likeness:
-    """What a pixel's pool so far says of it, by which neighbours are judged.
+    """What a pixel's pool so far says of it, by which neighbors are judged.
 
     Attributes
     ----------
@@ -251,21 +289,21 @@ class Likeness:
 
 @dataclass(frozen=True)
 class Limits:
-    """Log-likelihood ratio at which a neighbour no longer counts at all.
+    """Log-likelihood ratio at which a neighbor no longer counts at all.
 
     Attributes
     ----------
-    colour : for the spectrum; depth_colour : for the depth, where it is about another colour;
+    color : for the spectrum; depth_color : for the depth, where it is about another color;
     depth : for either, where it is about another depth.
     """
 
-    colour: float
-    depth_colour: float
+    color: float
+    depth_color: float
     depth: float
 
 
-def neighbours(radius: float) -> tuple[NDArray[np.int32], Floats]:
-    """Steps (neighbour, 2) in row and col within a radius, and the kernel 1 − (d/radius)²."""
+def neighbors(radius: float) -> tuple[NDArray[np.int32], Floats]:
+    """Steps (neighbor, 2) in row and col within a radius, and the kernel 1 − (d/radius)²."""
     reach = int(np.ceil(radius))
     steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
     kernel = 1 - (steps**2).sum(axis=-1) / radius**2
@@ -284,7 +322,7 @@ def pool(
     *,
     threads: int = 1,
 ) -> Pooled:
-    """Sums over the neighbours that look alike.
+    """Sums over the neighbors that look alike.
 
     Parameters
     ----------
@@ -296,7 +334,7 @@ def pool(
     radius : in pixels.
     """
     planes, rows, cols = data.shape
-    steps, kernel = neighbours(radius)
+    steps, kernel = neighbors(radius)
     rim = int(np.abs(steps).max(initial=0))
     roots = np.sqrt(like.means)
     native = backend.compiled("pooled")
@@ -312,7 +350,7 @@ def pool(
     trust = np.ascontiguousarray(2 * like.pixels, np.float32)
     information = np.ascontiguousarray(like.information / 2, np.float32)
     result = np.zeros((planes + 3, rows, cols), np.float32)
-    inverse = np.array([1 / limits.colour, 1 / limits.depth_colour, 1 / limits.depth], np.float32)
+    inverse = np.array([1 / limits.color, 1 / limits.depth_color, 1 / limits.depth], np.float32)
 
     def some_rows(part: tuple[int, int]) -> None:
         if native is None:
@@ -321,13 +359,29 @@ def pool(
                 first, last, cols, rim, inverse, steps, kernel, spread, spectral, trust, information
             )
             return
-        sizes = np.array(
-            [*part, rows, cols, rim, len(roots), planes, spectral], np.int32
-        )  # fmt: skip
+        sizes = POOL_SIZES.pack(
+            first_row=part[0],
+            end_row=part[1],
+            rows=rows,
+            cols=cols,
+            rim=rim,
+            groups=len(roots),
+            planes=planes,
+            spectral=spectral,
+        )
         native.pool(
-            sizes, inverse, steps, kernel, *spread, trust, information,
-            np.ascontiguousarray(active, np.uint8), result,
-        )  # fmt: skip
+            *POOL.arguments(
+                sizes=sizes,
+                limits=POOL_LIMITS.pack(color=inverse[0], depth_color=inverse[1], depth=inverse[2]),
+                steps=steps,
+                kernel=kernel,
+                **dict(zip(("roots", "delays", "valid", "data"), spread, strict=True)),
+                trust=trust,
+                information=information,
+                active=np.ascontiguousarray(active, np.uint8),
+                result=result,
+            )
+        )
 
     in_parts(some_rows, rows, 4 * threads if threads > 1 else 1, threads)
     return Pooled(result[:planes], *result[planes:])

@@ -1,4 +1,4 @@
-"""Waveforms on the cells of the circle, and the slots that each band has to itself in it."""
+"""Waveforms on the cells of the circle, and the windows that each band has to itself in it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hueflight.errors import HueflightError
 from hueflight.reconstruction.pooled.kernels import Floats
 
 CELLS_PER_FWHM = 90  #: of the shortest pulse
-COLOURS = 2  #: groups of bands by wavelength that tell neighbours apart
-LIT = 0.02  #: of its peak: where a pulse is weaker, the slot is background's
+COLORS = 2  #: groups of bands by wavelength that tell neighbors apart
+LIT = 0.02  #: of its peak: where a pulse is weaker, the window is background's
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +27,9 @@ class Tables:
     fwhm_ns : of the shortest pulse.
     shares, slopes : (cell, band) light per ns and its derivative by time.
     white : (band,) share of each in the light of a white target.
-    slots : (cell,) band whose pulse is strongest there, or one more for the background.
-    unmixing : (band + 1, slot) from photons in slots to amplitudes and background.
-    groups : (slot, group) 1 where a slot belongs to a group.
+    windows : (cell,) band whose pulse is strongest there, or one more for the background.
+    unmixing : (band + 1, window) from photons in windows to amplitudes and background.
+    groups : (window, group) 1 where a window belongs to a group.
     quiet : (cell,) where no delay within the search brings light.
     """
 
@@ -39,7 +39,7 @@ class Tables:
     shares: Floats
     slopes: Floats
     white: NDArray[np.float64]
-    slots: NDArray[np.int8]
+    windows: NDArray[np.int8]
     unmixing: Floats
     groups: Floats
     quiet: NDArray[np.bool_]
@@ -79,16 +79,16 @@ def _make_tables(calibration: Calibration, search_ns: tuple[float, float]) -> Ta
     white = calibration.brightness / calibration.brightness.sum()
     strongest = (shares * white).argmax(axis=1)
     relative = (shares / shares.max(axis=0))[np.arange(cells), strongest]
-    slots = np.where(relative > LIT, strongest, bands)
-    inside = np.eye(bands + 1)[slots]  # cell, slot
+    windows = np.where(relative > LIT, strongest, bands)
+    inside = np.eye(bands + 1)[windows]  # cell, window
     mixing = np.column_stack([inside.T @ shares * cell_ns, inside.sum(axis=0) / cells])
     order = np.argsort(np.argsort(calibration.instrument.wavelengths_nm))
-    groups = np.zeros((bands + 1, COLOURS + 1))
+    groups = np.zeros((bands + 1, COLORS + 1))
     # more light at long waves is common to LEDs, detectors and paints: split where a third is left
     groups[np.arange(bands), np.where(order < bands / 3, 0, 1)] = 1
-    groups[bands, COLOURS] = 1
+    groups[bands, COLORS] = 1
     reach = int(np.ceil(max(abs(bound) for bound in search_ns) / cell_ns))
-    lit = np.append(slots, slots) < bands
+    lit = np.append(windows, windows) < bands
     near = np.convolve(np.tile(lit, 2).astype(float), np.ones(2 * reach + 1), mode="same") > 0
     return Tables(
         period_ns=period_ns,
@@ -97,7 +97,7 @@ def _make_tables(calibration: Calibration, search_ns: tuple[float, float]) -> Ta
         shares=shares.astype(np.float32),
         slopes=slopes.astype(np.float32),
         white=white,
-        slots=slots.astype(np.int8),
+        windows=windows.astype(np.int8),
         unmixing=np.linalg.pinv(mixing).astype(np.float32),
         groups=groups.astype(np.float32),
         quiet=~near[cells : 2 * cells],

@@ -13,7 +13,7 @@ import hueflight as hf
 from hueflight import backend, simulator
 from hueflight.errors import HueflightError
 from hueflight.reconstruction.pooled import estimate as few_photons
-from hueflight.reconstruction.pooled.kernels import Likeness, Limits, list_photons, neighbours, pool
+from hueflight.reconstruction.pooled.kernels import Likeness, Limits, list_photons, neighbors, pool
 from hueflight.reconstruction.quality import Quality
 
 native = pytest.mark.skipif(not backend.available("pooled"), reason=backend.why_not("pooled"))
@@ -61,7 +61,7 @@ def test_it_says_how_sure_it_is(instrument, calibration, draw):
         counts = draw(instrument, depth=0.8, photons=3, background=0.3, frames=1000, seed=seed)
         image = hf.reconstruct(counts, calibration, method="pooled")
         inside.append(np.abs(image.depth.values - 0.8) < 2 * image.depth_std.values)
-    # neighbours' errors go together: some 10 independent ones a picture, 60 in all, of which 95 %
+    # neighbors' errors go together: some 10 independent ones a picture, 60 in all, of which 95 %
     # are expected inside; fewer than 80 % once in 10⁴ runs
     assert np.mean(inside) > 0.8
     assert np.median(image.depth_std) < 0.05
@@ -226,7 +226,7 @@ def test_pooling_in_c_is_pooling_in_numpy(monkeypatch, shape):
         information=10 * rng.random(shape, np.float32),
     )
     valid = rng.random(shape) < 0.8
-    limits = Limits(colour=4.0, depth_colour=6.0, depth=2.0)
+    limits = Limits(color=4.0, depth_color=6.0, depth=2.0)
     results = []
     for implementation in ("c", "numpy"):
         monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
@@ -244,12 +244,12 @@ def test_pooling_of_equals_is_a_plain_sum(monkeypatch, implementation):
     flat = np.ones(shape, np.float32)
     like = Likeness(flat[None], flat, 100 * flat, 100 * flat)
     found = pool(
-        flat[None], 1, flat > 0, flat > 0, like, 2.5, Limits(colour=1, depth_colour=1, depth=1)
+        flat[None], 1, flat > 0, flat > 0, like, 2.5, Limits(color=1, depth_color=1, depth=1)
     )
-    _, kernel = neighbours(2.5)
+    _, kernel = neighbors(2.5)
     np.testing.assert_allclose(found.sums[0, 4, 10], kernel.sum(), rtol=1e-6)
     np.testing.assert_allclose(found.squares[4, 10], (kernel**2).sum(), rtol=1e-6)
-    # the corner has no neighbours beyond the picture
+    # the corner has no neighbors beyond the picture
     assert found.weight[0, 0] < 0.5 * kernel.sum()
 
 

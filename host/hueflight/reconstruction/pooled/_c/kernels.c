@@ -1,11 +1,8 @@
-/* Few photons: the loops over photons and over neighbours. `pooling` holds the same in NumPy. */
+/* The loops over photons and over neighbors of the pooled method; hueflight/reconstruction/pooled/
+ * kernels.py defines the same in NumPy. */
 #define Py_LIMITED_API 0x030b0000
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
-
-#include <math.h>
-#include <stdint.h>
-#include <string.h>
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__linux__)
 #define EVERY_WIDTH __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
@@ -13,22 +10,8 @@
 #define EVERY_WIDTH
 #endif
 
-enum { MOST_PLANES = 40, MOST_GROUPS = 8, LANES = 16 };
-
-#define INLINE static inline __attribute__((always_inline))
-
-/* Sixteen pixels side by side, in the compiler's own vector types. */
-typedef float vec __attribute__((vector_size(64)));
-typedef float loose __attribute__((vector_size(64), aligned(4)));  /* wherever it lies */
-typedef int32_t ivec __attribute__((vector_size(64)));
-
-INLINE vec load(const float *from) { return *(const loose *)from; }
-INLINE vec fill(float x) { return x - (vec){0}; }
-INLINE vec choose(ivec mask, vec yes, vec no)
-{
-    return (vec)((mask & (ivec)yes) | (~mask & (ivec)no));
-}
-INLINE vec greater(vec a, vec b) { return choose(a > b, a, b); }
+#include "abi.h"
+#include "vector.h" /* after LANES */
 
 /* -- photons -------------------------------------------------------------------------------- */
 
@@ -107,8 +90,8 @@ static void lag_likelihood(const Photons *seen, const float *table, int cells, f
     }
 }
 
-/* Photons in the slots of a delay, (slot, pixel). */
-static void slots(const Photons *seen, const float *delays, const int8_t *owners, int cells,
+/* Photons in the window of each band at a delay, (slot, pixel). */
+static void windows(const Photons *seen, const float *delays, const int8_t *owners, int cells,
                   float cells_per_ns, int count, float *result)
 {
     memset(result, 0, sizeof(float) * (size_t)(seen->pixels * count));
@@ -145,7 +128,7 @@ static void scores(const Photons *seen, const float *delays, const float *shares
     }
 }
 
-/* -- neighbours ----------------------------------------------------------------------------- */
+/* -- neighbors ----------------------------------------------------------------------------- */
 
 typedef struct {
     int rows, cols, rim, groups, planes, spectral;
@@ -158,10 +141,10 @@ typedef struct {
     const float *trust;      /* (row, col): twice the pixels pooled so far */
     const float *information;/* (row, col): half the information on the delay so far */
     const uint8_t *active;   /* (row, col) */
-    float colour_limit, depth_colour_limit, depth_limit;
+    float color_limit, depth_color_limit, depth_limit;
 } Pool;
 
-/* One row: weights of all neighbours, sums of their data. `places` are (row step, column step),
+/* One row: weights of all neighbors, sums of their data. `places` are (row step, column step),
  * `kernel` how much each counts by distance. Results are (plane + 3, rows · cols). With `groups`,
  * `planes` and `spectral` known to the compiler all sums stay in registers. */
 INLINE void pool_row(const Pool *pool, int row, const int32_t *places, const float *kernel,
@@ -202,9 +185,9 @@ INLINE void pool_row(const Pool *pool, int row, const int32_t *places, const flo
             vec move = load(pool->delays + there) - delay;
             move = move * move * information * pool->depth_limit;
             vec most = load(pool->valid + there) * kernel[n];
-            vec rest = 2.0f * (one - apart * pool->colour_limit - move);
+            vec rest = 2.0f * (one - apart * pool->color_limit - move);
             vec w = most * choose(rest > one, one, greater(rest, none));
-            rest = 2.0f * (one - apart * pool->depth_colour_limit - move);
+            rest = 2.0f * (one - apart * pool->depth_color_limit - move);
             vec d = most * choose(rest > one, one, greater(rest, none));
             total += w;
             squares += w * w;
@@ -274,43 +257,52 @@ static PyObject *finish(Py_buffer *held, Py_ssize_t count, int fits)
 
 static int64_t items(const Py_buffer *held, size_t size) { return held->len / (int64_t)size; }
 
-/* list(counts, times, later, reals: period; starts, time, weight): pixels whose entries have no
- * room left are counted only, so that starts tells how much room is needed. */
+/* Pixels whose entries have no room left are counted only, so that starts tells how much is needed. */
 static PyObject *py_list(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[7];
-    if (!hold(args, 7, 4, held))
+    Py_buffer held[LIST_BUFFERS];
+    if (!hold(args, LIST_BUFFERS, LIST_READS, held))
         return NULL;
-    char type = held[0].format ? held[0].format[0] : 0;
-    int64_t codes = items(&held[1], 4), pixels = items(&held[2], 4), room = items(&held[5], 4);
-    int fits = (type == 'H' || type == 'I' || type == 'f') && items(&held[3], 4) == 1
-            && items(&held[0], (size_t)held[0].itemsize) == codes * pixels
-            && items(&held[4], 8) == pixels + 1 && room == items(&held[6], 4);
+    const Py_buffer *given = &held[LIST_COUNTS];
+    char type = given->format ? given->format[0] : 0;
+    int64_t codes = items(&held[LIST_CODE_TIMES], 4), pixels = items(&held[LIST_PIXEL_DELAYS], 4);
+    int64_t room = items(&held[LIST_TIMES], 4);
+    int fits = (type == 'H' || type == 'I' || type == 'f')
+            && held[LIST_PERIOD].len == sizeof(Period)
+            && items(given, (size_t)given->itemsize) == codes * pixels
+            && items(&held[LIST_STARTS], 8) == pixels + 1 && room == items(&held[LIST_WEIGHTS], 4);
     if (fits) {
-        const char *counts = held[0].buf;
-        int64_t *starts = held[4].buf, row = codes * held[0].itemsize;
-        float period = *(const float *)held[3].buf, *time = held[5].buf, *weight = held[6].buf;
-        const float *later = held[2].buf;
+        const char *counts = given->buf;
+        int64_t *starts = held[LIST_STARTS].buf, row = codes * given->itemsize;
+        float period = ((const Period *)held[LIST_PERIOD].buf)->period_ns;
+        float *time = held[LIST_TIMES].buf, *weight = held[LIST_WEIGHTS].buf;
+        const float *delays = held[LIST_PIXEL_DELAYS].buf;
         starts[0] = 0;
         Py_BEGIN_ALLOW_THREADS
         for (int64_t p = 0; p < pixels; p++) {
             int written = starts[p] + codes <= room;
             starts[p + 1] = starts[p]
-                          + list_pixel(type, counts + p * row, codes, held[1].buf, later[p], period,
-                                       written ? time + starts[p] : NULL,
+                          + list_pixel(type, counts + p * row, codes, held[LIST_CODE_TIMES].buf,
+                                       delays[p], period, written ? time + starts[p] : NULL,
                                        written ? weight + starts[p] : NULL);
         }
         Py_END_ALLOW_THREADS
     }
-    return finish(held, 7, fits);
+    return finish(held, LIST_BUFFERS, fits);
 }
 
-/* A call of a loop over photons: starts, times and weights come first among the buffers. */
+/* A call of a loop over photons, which come first among the buffers. */
 typedef struct {
-    Py_buffer held[11];
+    Py_buffer held[SCORES_BUFFERS];
     Photons seen;
 } Call;
+
+_Static_assert((int)LAGS_STARTS == (int)WINDOWS_STARTS && (int)LAGS_STARTS == (int)SCORES_STARTS
+               && (int)LAGS_WEIGHTS == (int)WINDOWS_WEIGHTS
+               && (int)LAGS_WEIGHTS == (int)SCORES_WEIGHTS, "photons come first");
+_Static_assert((int)LAGS_BUFFERS <= (int)SCORES_BUFFERS
+               && (int)WINDOWS_BUFFERS <= (int)SCORES_BUFFERS, "there is room for all buffers");
 
 static int64_t floats(const Call *call, int place) { return items(&call->held[place], 4); }
 
@@ -319,17 +311,25 @@ static int each(const Call *call, int place) /* pixel's floats in a buffer */
     return call->seen.pixels > 0 ? (int)(floats(call, place) / call->seen.pixels) : 0;
 }
 
+static int has_grid(const Call *call, int place) { return call->held[place].len == sizeof(Grid); }
+
+static float cells_per_ns(const Call *call, int place)
+{
+    return ((const Grid *)call->held[place].buf)->cells_per_ns;
+}
+
 /* Run a loop over photons without the interpreter's lock, if its buffers fit one another. */
-static PyObject *over_photons(PyObject *args, Py_ssize_t count, Py_ssize_t writable,
+static PyObject *over_photons(PyObject *args, Py_ssize_t count, Py_ssize_t reads,
                               int (*check)(const Call *), void (*loop)(const Call *))
 {
     Call call;
-    if (!hold(args, count, writable, call.held))
+    if (!hold(args, count, reads, call.held))
         return NULL;
     const Py_buffer *held = call.held;
-    call.seen = (Photons){items(&held[0], 8) - 1, held[0].buf, held[1].buf, held[2].buf};
-    int fits = call.seen.pixels >= 0 && floats(&call, 1) == floats(&call, 2)
-            && call.seen.starts[call.seen.pixels] <= floats(&call, 1) && check(&call);
+    call.seen = (Photons){items(&held[LAGS_STARTS], 8) - 1, held[LAGS_STARTS].buf,
+                          held[LAGS_TIMES].buf, held[LAGS_WEIGHTS].buf};
+    int fits = call.seen.pixels >= 0 && floats(&call, LAGS_TIMES) == floats(&call, LAGS_WEIGHTS)
+            && call.seen.starts[call.seen.pixels] <= floats(&call, LAGS_TIMES) && check(&call);
     if (fits) {
         Py_BEGIN_ALLOW_THREADS
         loop(&call);
@@ -338,12 +338,11 @@ static PyObject *over_photons(PyObject *args, Py_ssize_t count, Py_ssize_t writa
     return finish(call.held, count, fits);
 }
 
-/* lags(starts, time, weight, table, reals: cells per ns, lags; result) */
 static int lags_fit(const Call *call)
 {
-    int64_t cells = floats(call, 3), count = floats(call, 5);
-    const int32_t *lags = call->held[5].buf;
-    int fits = floats(call, 4) == 1 && floats(call, 6) == call->seen.pixels * count;
+    int64_t cells = floats(call, LAGS_TABLE), count = floats(call, LAGS_LAGS);
+    const int32_t *lags = call->held[LAGS_LAGS].buf;
+    int fits = has_grid(call, LAGS_GRID) && floats(call, LAGS_RESULT) == call->seen.pixels * count;
     for (int l = 0; fits && l < count; l++)
         fits = lags[l] > -cells && lags[l] < cells;
     return fits;
@@ -352,117 +351,133 @@ static int lags_fit(const Call *call)
 static void run_lags(const Call *call)
 {
     const Py_buffer *held = call->held;
-    lag_likelihood(&call->seen, held[3].buf, (int)floats(call, 3), *(const float *)held[4].buf,
-                   held[5].buf, (int)floats(call, 5), held[6].buf);
+    lag_likelihood(&call->seen, held[LAGS_TABLE].buf, (int)floats(call, LAGS_TABLE),
+                   cells_per_ns(call, LAGS_GRID), held[LAGS_LAGS].buf,
+                   (int)floats(call, LAGS_LAGS), held[LAGS_RESULT].buf);
 }
 
 static PyObject *py_lags(PyObject *self, PyObject *args)
 {
     (void)self;
-    return over_photons(args, 7, 6, lags_fit, run_lags);
+    return over_photons(args, LAGS_BUFFERS, LAGS_READS, lags_fit, run_lags);
 }
 
-/* slots(starts, time, weight, delays, owners, reals: cells per ns; result) */
-static int slots_fit(const Call *call)
+static int windows_fit(const Call *call)
 {
-    int64_t cells = items(&call->held[4], 1);
-    const int8_t *owners = call->held[4].buf;
-    int fits = floats(call, 3) == call->seen.pixels && floats(call, 5) == 1;
+    int64_t cells = items(&call->held[WINDOWS_OWNERS], 1);
+    const int8_t *owners = call->held[WINDOWS_OWNERS].buf;
+    int fits = floats(call, WINDOWS_DELAYS) == call->seen.pixels && has_grid(call, WINDOWS_GRID);
     for (int64_t cell = 0; fits && cell < cells; cell++)
-        fits = owners[cell] >= 0 && owners[cell] < each(call, 6);
+        fits = owners[cell] >= 0 && owners[cell] < each(call, WINDOWS_RESULT);
     return fits;
 }
 
-static void run_slots(const Call *call)
+static void run_windows(const Call *call)
 {
     const Py_buffer *held = call->held;
-    slots(&call->seen, held[3].buf, held[4].buf, (int)items(&held[4], 1),
-          *(const float *)held[5].buf, each(call, 6), held[6].buf);
+    windows(&call->seen, held[WINDOWS_DELAYS].buf, held[WINDOWS_OWNERS].buf,
+            (int)items(&held[WINDOWS_OWNERS], 1), cells_per_ns(call, WINDOWS_GRID),
+            each(call, WINDOWS_RESULT), held[WINDOWS_RESULT].buf);
 }
 
-static PyObject *py_slots(PyObject *self, PyObject *args)
+static PyObject *py_windows(PyObject *self, PyObject *args)
 {
     (void)self;
-    return over_photons(args, 7, 6, slots_fit, run_slots);
+    return over_photons(args, WINDOWS_BUFFERS, WINDOWS_READS, windows_fit, run_windows);
 }
 
-/* scores(starts, time, weight, delays, shares, slopes, amplitudes, floors, reals: cells per ns;
- * score, information) */
 static int scores_fit(const Call *call)
 {
     int64_t pixels = call->seen.pixels;
-    return each(call, 6) > 0 && floats(call, 3) == pixels && floats(call, 4) == floats(call, 5)
-        && floats(call, 7) == pixels && floats(call, 8) == 1 && floats(call, 9) == pixels
-        && floats(call, 10) == pixels;
+    return each(call, SCORES_AMPLITUDES) > 0 && floats(call, SCORES_DELAYS) == pixels
+        && floats(call, SCORES_SHARES) == floats(call, SCORES_SLOPES)
+        && floats(call, SCORES_FLOORS) == pixels && has_grid(call, SCORES_GRID)
+        && floats(call, SCORES_SCORE) == pixels && floats(call, SCORES_INFORMATION) == pixels;
 }
 
 static void run_scores(const Call *call)
 {
     const Py_buffer *held = call->held;
-    int bands = each(call, 6);
-    scores(&call->seen, held[3].buf, held[4].buf, held[5].buf, (int)(floats(call, 4) / bands),
-           *(const float *)held[8].buf, bands, held[6].buf, held[7].buf, held[9].buf,
-           held[10].buf);
+    int bands = each(call, SCORES_AMPLITUDES);
+    scores(&call->seen, held[SCORES_DELAYS].buf, held[SCORES_SHARES].buf, held[SCORES_SLOPES].buf,
+           (int)(floats(call, SCORES_SHARES) / bands), cells_per_ns(call, SCORES_GRID), bands,
+           held[SCORES_AMPLITUDES].buf, held[SCORES_FLOORS].buf, held[SCORES_SCORE].buf,
+           held[SCORES_INFORMATION].buf);
 }
 
 static PyObject *py_scores(PyObject *self, PyObject *args)
 {
     (void)self;
-    return over_photons(args, 11, 9, scores_fit, run_scores);
+    return over_photons(args, SCORES_BUFFERS, SCORES_READS, scores_fit, run_scores);
 }
 
-/* pool(integers: first row, last row, rows, cols, rim, groups, planes, spectral; reals: limits of
- * colour, colour for depth, depth, each inverted; places, kernel, roots, delays, valid, data,
- * trust, information, active; result) */
 static PyObject *py_pool(PyObject *self, PyObject *args)
 {
     (void)self;
-    Py_buffer held[12];
-    if (!hold(args, 12, 11, held))
+    Py_buffer held[POOL_BUFFERS];
+    if (!hold(args, POOL_BUFFERS, POOL_READS, held))
         return NULL;
-    const int32_t *n = held[0].buf, *places = held[2].buf;
-    const float *x = held[1].buf;
-    int fits = items(&held[0], 4) == 8 && items(&held[1], 4) == 3;
+    const PoolSizes *n = held[POOL_SIZES].buf;
+    const PoolLimits *limits = held[POOL_LIMITS].buf;
+    const int32_t *steps = held[POOL_STEPS].buf;
+    int fits = held[POOL_SIZES].len == sizeof *n && held[POOL_LIMITS].len == sizeof *limits;
     Pool pool = {0};
-    int count = (int)items(&held[3], 4);
+    int count = (int)items(&held[POOL_KERNEL], 4);
     if (fits) {
-        int64_t size = (int64_t)n[2] * n[3];
-        int64_t stride = n[3] + 2 * n[4] + LANES;
-        pool = (Pool){.rows = n[2], .cols = n[3], .rim = n[4], .groups = n[5], .planes = n[6],
-                      .spectral = n[7], .stride = stride, .plane = stride * (n[2] + 2 * n[4]),
-                      .roots = held[4].buf, .delays = held[5].buf, .valid = held[6].buf,
-                      .data = held[7].buf, .trust = held[8].buf, .information = held[9].buf,
-                      .active = held[10].buf, .colour_limit = x[0], .depth_colour_limit = x[1],
-                      .depth_limit = x[2]};
-        fits = n[0] >= 0 && n[0] <= n[1] && n[1] <= n[2] && n[3] > 0 && n[4] >= 0 && n[5] >= 1
-            && n[5] <= MOST_GROUPS && n[6] >= 1 && n[6] <= MOST_PLANES && n[7] >= 0 && n[7] <= n[6]
-            && items(&held[2], 4) == 2 * (int64_t)count
-            && items(&held[4], 4) == pool.plane * n[5] && items(&held[5], 4) == pool.plane
-            && items(&held[6], 4) == pool.plane && items(&held[7], 4) == pool.plane * n[6]
-            && items(&held[8], 4) == size && items(&held[9], 4) == size
-            && items(&held[10], 1) == size && items(&held[11], 4) == size * (n[6] + 3);
+        int64_t size = (int64_t)n->rows * n->cols;
+        int64_t stride = n->cols + 2 * n->rim + LANES;
+        pool = (Pool){
+            .rows = n->rows, .cols = n->cols, .rim = n->rim, .groups = n->groups,
+            .planes = n->planes, .spectral = n->spectral, .stride = stride,
+            .plane = stride * (n->rows + 2 * n->rim), .roots = held[POOL_ROOTS].buf,
+            .delays = held[POOL_DELAYS].buf, .valid = held[POOL_VALID].buf,
+            .data = held[POOL_DATA].buf, .trust = held[POOL_TRUST].buf,
+            .information = held[POOL_INFORMATION].buf, .active = held[POOL_ACTIVE].buf,
+            .color_limit = limits->color, .depth_color_limit = limits->depth_color,
+            .depth_limit = limits->depth,
+        };
+        fits = n->first_row >= 0 && n->first_row <= n->end_row && n->end_row <= n->rows
+            && n->cols > 0 && n->rim >= 0 && n->groups >= 1 && n->groups <= MOST_GROUPS
+            && n->planes >= 1 && n->planes <= MOST_PLANES && n->spectral >= 0
+            && n->spectral <= n->planes && items(&held[POOL_STEPS], 4) == 2 * (int64_t)count
+            && items(&held[POOL_ROOTS], 4) == pool.plane * n->groups
+            && items(&held[POOL_DELAYS], 4) == pool.plane
+            && items(&held[POOL_VALID], 4) == pool.plane
+            && items(&held[POOL_DATA], 4) == pool.plane * n->planes
+            && items(&held[POOL_TRUST], 4) == size && items(&held[POOL_INFORMATION], 4) == size
+            && items(&held[POOL_ACTIVE], 1) == size
+            && items(&held[POOL_RESULT], 4) == size * (n->planes + 3);
     }
     for (int i = 0; fits && i < 2 * count; i++)
-        fits = places[i] >= -pool.rim && places[i] <= pool.rim;
+        fits = steps[i] >= -pool.rim && steps[i] <= pool.rim;
     if (fits) {
         Py_BEGIN_ALLOW_THREADS
-        pool_rows(&pool, n[0], n[1], places, held[3].buf, count, held[11].buf);
+        pool_rows(&pool, n->first_row, n->end_row, steps, held[POOL_KERNEL].buf, count,
+                  held[POOL_RESULT].buf);
         Py_END_ALLOW_THREADS
     }
-    return finish(held, 12, fits);
+    return finish(held, POOL_BUFFERS, fits);
 }
 
 static PyMethodDef methods[] = {
     {"list", py_list, METH_VARARGS, "Photons of pixels."},
     {"lags", py_lags, METH_VARARGS, "Log-likelihood of lags."},
-    {"slots", py_slots, METH_VARARGS, "Photons in the slots of a delay."},
+    {"windows", py_windows, METH_VARARGS, "Photons in the window of each band at a delay."},
     {"scores", py_scores, METH_VARARGS, "Score and information of the delay."},
-    {"pool", py_pool, METH_VARARGS, "Weighted sums over neighbours."},
+    {"pool", py_pool, METH_VARARGS, "Weighted sums over neighbors."},
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_kernels", "Few photons, in C.", -1, methods, NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT, "_kernels", "Loops of the pooled method, in C.", -1, methods, NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__kernels(void) { return PyModule_Create(&module); }
+PyMODINIT_FUNC PyInit__kernels(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    if (made && PyModule_AddStringConstant(made, "ABI", ABI)) {
+        Py_DECREF(made);
+        return NULL;
+    }
+    return made;
+}

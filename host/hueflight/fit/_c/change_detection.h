@@ -1,25 +1,25 @@
 /* Whether a pixel's counts still are what they were when it was fitted; see changes.py. */
 
 /* Floats of a half of what is remembered of a pixel. */
-INLINE size_t memory_room(const Plan *plan) { return (size_t)(plan->rough.bins + 15) / 16 * 16; }
+INLINE size_t reference_size(const ModelTables *tables) { return (size_t)(tables->wide.bins + REFERENCE_MULTIPLE - 1) / REFERENCE_MULTIPLE * REFERENCE_MULTIPLE; }
 
 /* Counts of one pixel at the bins of the search. */
-INLINE const float *wide_counts(const Plan *plan, const Light *light, size_t pixel,
+INLINE const float *wide_counts(const ModelTables *tables, const Light *light, size_t pixel,
                                 const Scratch *scratch)
 {
     Py_ssize_t by = light->bin_step;
-    if (light->type == 'H' && (by == 2 || by == -2) && plan->views == 1 && plan->factor == 1
-        && plan->coarse.factor == 4) {
+    if (light->type == 'H' && (by == 2 || by == -2) && tables->views == 1 && tables->factor == 1
+        && tables->search.factor == 4) {
         const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
-        const char *low = by < 0 ? from + (plan->bins - 1) * by : from;
-        fours_of_16((const uint16_t *)low, plan->bins, by < 0, scratch->rough);
+        const char *low = by < 0 ? from + (tables->bins - 1) * by : from;
+        fours_of_16((const uint16_t *)low, tables->bins, by < 0, scratch->wide);
     } else
-        prepare(plan, light, pixel, 0, 0, scratch);
-    return scratch->rough;
+        prepare(tables, light, pixel, 0, 0, scratch);
+    return scratch->wide;
 }
 
 /* Asks for what is remembered of a pixel ahead of its use. */
-INLINE void fetch_memory(const float *memory, size_t room)
+INLINE void fetch_reference(const float *memory, size_t room)
 {
     for (size_t at = 0; at < room; at += 16)
         __builtin_prefetch(memory + at);
@@ -27,35 +27,35 @@ INLINE void fetch_memory(const float *memory, size_t room)
 
 /* What is remembered of a pixel: its counts, and how the fit's expected counts change with the delay,
  * relative to themselves. */
-INLINE void remember(const Plan *plan, const float *counts, float delay, const float *fitted,
+INLINE void change_reference(const ModelTables *tables, const float *counts, float delay, const float *fitted,
                      float background, vec *work, float *memory)
 {
-    const Level *level = &plan->rough;
+    const DelayTables *level = &tables->wide;
     float amplitudes[MOST_BANDS];
-    for (int k = 0; k < plan->bands; k++)
+    for (int k = 0; k < tables->bands; k++)
         amplitudes[k] = fitted[k] > 0 ? fitted[k] : 0;
     vec whole = {0};
     for (int v = 0; v < level->blocks; v++)
         whole += load(counts + v * LANES);
-    float least = floor_of(&plan->rules, sum(whole)), *steep = memory + memory_room(plan);
+    float least = floor_of(&tables->rules, sum(whole)), *steep = memory + reference_size(tables);
     expect(level, phase_of(level, delay), amplitudes, background > least ? background : least,
            work, work + level->blocks);
-    memset(memory, 0, 2 * memory_room(plan) * sizeof *memory);
+    memset(memory, 0, 2 * reference_size(tables) * sizeof *memory);
     memcpy(memory, counts, (size_t)level->bins * sizeof *counts);
     for (int v = 0; v < level->blocks; v++)
         store(steep + v * LANES, work[level->blocks + v] / work[v]);
 }
 
-/* Greatest contrast between counts now and those remembered in units of its own deviation: of all
+/* Greatest change_significance between counts now and those remembered in units of its own deviation: of all
  * counts, of each band's zone, and along the derivative by the delay. */
-INLINE float contrast(const Plan *plan, const float *now, const float *memory, float scale,
+INLINE float change_significance(const ModelTables *tables, const float *now, const float *memory, float scale,
                       float delay, vec *apart, vec *spreads)
 {
-    const Coarse *coarse = &plan->coarse;
-    const float *steepness = memory + memory_room(plan);
+    const SearchTables *search = &tables->search;
+    const float *steepness = memory + reference_size(tables);
     float gaps[MOST_BANDS] = {0}, sizes[MOST_BANDS] = {0}, most = 0;
     vec gap = {0}, size = {0}, steep_gap = {0}, steep_size = {0};
-    for (int v = 0; v < plan->rough.blocks; v++) {
+    for (int v = 0; v < tables->wide.blocks; v++) {
         vec a = load(now + v * LANES), b = scale * load(memory + v * LANES);
         vec steep = load(steepness + v * LANES);
         apart[v] = a - b;
@@ -65,10 +65,10 @@ INLINE float contrast(const Plan *plan, const float *now, const float *memory, f
         steep_gap += steep * apart[v];
         steep_size += steep * steep * spreads[v];
     }
-    float lag = rintf((delay - coarse->first_ns) / coarse->step_ns);
-    int here = lag < 0 ? 0 : lag > (float)(coarse->lags - 1) ? coarse->lags - 1 : (int)lag;
-    for (int run = coarse->places[here]; run < coarse->places[here + 1]; run++) {
-        const int16_t *bins = coarse->runs + (size_t)run * 3;
+    float lag = rintf((delay - search->first_ns) / search->step_ns);
+    int here = lag < 0 ? 0 : lag > (float)(search->lags - 1) ? search->lags - 1 : (int)lag;
+    for (int run = search->places[here]; run < search->places[here + 1]; run++) {
+        const int16_t *bins = search->runs + (size_t)run * 3;
         vec x = {0}, y = {0};
         for (int v = bins[1] / LANES; v * LANES < bins[2]; v++) {
             ivec bin = lane_numbers() + v * LANES, inside = (bin >= bins[1]) & (bin < bins[2]);
@@ -78,7 +78,7 @@ INLINE float contrast(const Plan *plan, const float *now, const float *memory, f
         gaps[bins[0]] += sum(x);
         sizes[bins[0]] += sum(y);
     }
-    for (int k = 0; k < plan->bands; k++)
+    for (int k = 0; k < tables->bands; k++)
         if (sizes[k] > 0)
             most = fmaxf(most, gaps[k] * gaps[k] / sizes[k]);
     float all = sum(gap), spread = sum(size), along = sum(steep_gap), across = sum(steep_size);

@@ -1,5 +1,5 @@
-/* LANES floats at a time, in the compiler's vector types. setup.py says how many: sixteen for
- * AVX-512, eight for AVX2, else four. */
+/* LANES floats at a time, in the compiler's vector types. Whoever includes this says how many: as
+ * many as fit a register of the processor that the build is for. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -8,9 +8,6 @@
 #include <immintrin.h>
 #endif
 
-#ifndef LANES
-#define LANES 16
-#endif
 #define LEAST 1e-30f /* added to expected counts, so that padding divides by something */
 #define INLINE static inline __attribute__((always_inline))
 

@@ -85,7 +85,7 @@ INLINE void read_words(const char *const *from, int bytes, int back, ivec *words
 
 /* The words in which counts of each pixel lie next to one another, in time order: those from bin
  * `at` on, as far as they come before `end`. `row` are the pixels' first bins. */
-INLINE void words_abreast(const Light *light, const char *const *row, int at, int end, ivec *words)
+INLINE void transposed_words(const Light *light, const char *const *row, int at, int end, ivec *words)
 {
     int back = light->bin_step < 0, size = (int)(back ? -light->bin_step : light->bin_step);
     int some = end - at < 4 * LANES / size ? end - at : 4 * LANES / size;
@@ -115,19 +115,19 @@ INLINE int is_dense(const Light *light)
                 = (int32_t)*(const TYPE *)(row[lane] + (at + i) * light->bin_step);
 
 /* 2·LANES counts of each pixel from bin `at` on, or those before `end` and zeros. */
-INLINE void counts_abreast(const Light *light, const char *const *row, int at, int end, ivec *counts)
+INLINE void transposed_counts(const Light *light, const char *const *row, int at, int end, ivec *counts)
 {
     if (is_dense(light) && light->type == 'H') {
         ivec words[LANES];
-        words_abreast(light, row, at, end, words);
+        transposed_words(light, row, at, end, words);
         for (int i = 0; i < LANES; i++) {
             ivec first = first_of(words[i]), second = second_of(words[i]);
             counts[2 * i] = light->bin_step < 0 ? second : first;
             counts[2 * i + 1] = light->bin_step < 0 ? first : second;
         }
     } else if (is_dense(light)) {
-        words_abreast(light, row, at, end, counts);
-        words_abreast(light, row, at + LANES, end, counts + LANES);
+        transposed_words(light, row, at, end, counts);
+        transposed_words(light, row, at + LANES, end, counts + LANES);
     } else {
         memset(counts, 0, 2 * LANES * sizeof *counts);
         if (light->type == 'H')
@@ -138,18 +138,18 @@ INLINE void counts_abreast(const Light *light, const char *const *row, int at, i
 }
 
 /* The same as pairs of 16 bits. Returns the bits that some count has, two counts a word. */
-INLINE ivec pairs_abreast(const Light *light, const char *const *row, int at, int end, ivec *pairs)
+INLINE ivec transposed_pairs(const Light *light, const char *const *row, int at, int end, ivec *pairs)
 {
     ivec seen = {0};
     if (is_dense(light) && light->type == 'H') {
-        words_abreast(light, row, at, end, pairs);
+        transposed_words(light, row, at, end, pairs);
         for (int i = 0; i < LANES; i++) {
             pairs[i] = light->bin_step < 0 ? across(pairs[i], pairs[i]) : pairs[i];
             seen |= pairs[i];
         }
     } else {
         ivec counts[2 * LANES];
-        counts_abreast(light, row, at, end, counts);
+        transposed_counts(light, row, at, end, counts);
         for (int i = 0; i < LANES; i++) {
             pairs[i] = paired(counts[2 * i], counts[2 * i + 1]);
             seen |= ((counts[2 * i] | counts[2 * i + 1]) & ~0x7fff) != 0;
@@ -159,7 +159,7 @@ INLINE ivec pairs_abreast(const Light *light, const char *const *row, int at, in
 }
 
 /* Sums up to each count of pairs, the count itself not included; returns the sum of all. */
-INLINE ivec running_abreast(const ivec *pairs, ivec before, ivec *running)
+INLINE ivec transposed_running_sums(const ivec *pairs, ivec before, ivec *running)
 {
     for (int i = 0; i < LANES; i++) {
         running[2 * i] = before;

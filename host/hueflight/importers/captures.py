@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from hueflight.errors import HistogramError, InputNotFoundError
 from hueflight.files import staged
-from hueflight.importers import read_counts
 from hueflight.importers.arrays import read_array
+from hueflight.importers.counts import read_counts
+from hueflight.importers.options import AXES
 from hueflight.ingest import IngestReport
 from hueflight.model.instrument import Instrument
 from hueflight.recording import open_recording
 
-#: counters of an ingest report that mean that something is missing
+#: counters of an ingest report that mean a loss
 LOSSES = ("damaged", "missing", "dropped", "aborted", "foreign", "skipped_bytes", "clipped")
 
 
@@ -28,8 +29,14 @@ class Capture:
 
     Attributes
     ----------
-    counts : (row, col, code), or (step, row, col, code) where read by step.
-    losses : what the stream of a recording lost, by place; empty if nothing was.
+    counts : numpy.ndarray, shape (row, col, code) or (step, row, col, code)
+        The counts; with an axis of steps if they were read by step.
+    instrument : Instrument
+        The instrument that made them.
+    losses : Mapping of str to int
+        What is missing from the counts, by kind; empty if nothing is. For recordings these are
+        counters of `IngestReport`. For files of counts, ``outside_period`` is the number of
+        counts in codes that lie beyond the period of the instrument.
     """
 
     counts: NDArray[Any]
@@ -38,25 +45,47 @@ class Capture:
 
 
 def read_capture(
-    path: Path, instrument: Instrument | None = None, /, *, by_step: bool = False
+    path: Path,
+    instrument: Instrument | None = None,
+    /,
+    *,
+    by_step: bool = False,
+    dataset: str | None = None,
+    axes: str = AXES,
+    channel: int | None = None,
 ) -> Capture:
-    """Counts of a recording (.mcap) or of a file of counts that `read_counts` knows.
+    """Read a recording (``.mcap``) or a file of counts of any camera.
 
     Parameters
     ----------
-    instrument : that made them; needed unless the file says, refused if it says another.
-    by_step : one histogram per step of the illuminator (one LED at a time), on a first axis.
+    path : pathlib.Path
+        Path of the file.
+    instrument : Instrument, optional
+        Instrument that made the counts; needed unless the file describes it, and refused if the
+        file describes another one.
+    by_step : bool
+        Whether to keep one histogram per step of the illuminator (one LED at a time), on a first
+        axis.
+    dataset, axes, channel : optional
+        Options for files of counts, as in `read_counts`.
+
+    Returns
+    -------
+    Capture
+        Counts, instrument and losses.
 
     Raises
     ------
+    InputNotFoundError
+        If there is no such file.
     RecordingError, FileFormatError
         If the file can't be read.
     InstrumentError
-        If nobody says which instrument made the counts.
+        If no instrument is known.
     HistogramError
         If a recording was made by another instrument, or steps are missing.
     """
-    if path.suffix == ".mcap":
+    if path.suffix.lower() == ".mcap":
         with open_recording(path) as recording:
             if instrument and (apart := recording.instrument.differences(instrument)):
                 raise HistogramError(
@@ -72,10 +101,11 @@ def read_capture(
             stacked = np.stack(list(by_number.values()))
             return Capture(stacked, recording.instrument, losses(report))
     if not by_step:
-        return Capture(*read_counts(path, instrument))
+        counts, chosen = read_counts(path, instrument, dataset=dataset, axes=axes, channel=channel)
+        return Capture(counts, chosen, _outside_period(counts, chosen))
     if not path.exists():
         raise InputNotFoundError(f"no capture {str(path)!r}: there is no such file")
-    stacked, described = read_array(path, None)
+    stacked, described = read_array(path, dataset)
     known = described or instrument
     if known is None or stacked.shape[1:] != known.histogram_shape:
         raise HistogramError(
@@ -85,20 +115,22 @@ def read_capture(
 
 
 def losses(report: IngestReport) -> dict[str, int]:
-    """What a stream lost, by place; only what is not zero."""
+    """Return the losses of a stream of packets by kind, without those that are 0."""
     lost = {name: getattr(report, name) for name in LOSSES}
     return {name: count for name, count in lost.items() if count}
 
 
 def write_counts(path: Path, counts: NDArray[Any], instrument: Instrument) -> None:
-    """Write counts with their instrument to a compressed .npz file, which `read_capture` reads.
+    """Write counts with their instrument as a compressed ``.npz`` file.
+
+    The file replaces an existing one, but only when it is complete.
 
     Parameters
     ----------
-    path : Path
-        Name of the file; numpy appends ``.npz`` where it is missing.
-    counts : ndarray, shape (row, col, code) or (step, row, col, code)
-        Photon counts.
+    path : pathlib.Path
+        Path of the file.
+    counts : numpy.ndarray, shape (row, col, code) or (step, row, col, code)
+        The counts.
     instrument : Instrument
         The instrument that made them.
 
@@ -109,3 +141,13 @@ def write_counts(path: Path, counts: NDArray[Any], instrument: Instrument) -> No
     """
     with staged(path, overwrite=True) as partial:
         np.savez_compressed(partial, histogram=counts, instrument=np.array(instrument.to_json()))
+
+
+def _outside_period(counts: NDArray[Any], instrument: Instrument) -> dict[str, int]:
+    """Return the number of counts in codes beyond the period, if there are any."""
+    unused = np.ones(instrument.sensor.codes, dtype=bool)
+    unused[instrument.time_bins().codes] = False
+    if instrument.sensor.reports_empty:
+        unused[0] = False
+    outside = int(counts[..., unused].sum(dtype=np.float64))
+    return {"outside_period": outside} if outside else {}

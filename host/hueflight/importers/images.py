@@ -1,4 +1,4 @@
-"""Images back from disk: Zarr stores and NetCDF files, whole or not at all."""
+"""Images from Zarr stores and NetCDF files, which are checked to be complete."""
 
 from __future__ import annotations
 
@@ -14,11 +14,17 @@ ENDINGS = (".zarr", ".nc", ".nc4")
 
 
 def read_image(path: str | Path, /) -> xr.Dataset:
-    """Image or series that `hueflight.export` wrote as Zarr or NetCDF, in memory.
+    """Read an image or series that `hueflight.export` wrote as Zarr or NetCDF.
 
     Parameters
     ----------
-    path : of the store or file.
+    path : str or pathlib.Path
+        Path of the store or file.
+
+    Returns
+    -------
+    xarray.Dataset
+        The image or series, in memory.
 
     Raises
     ------
@@ -48,10 +54,10 @@ def read_image(path: str | Path, /) -> xr.Dataset:
         raise
     except ImageError as error:
         raise FileFormatError(f"{str(path)!r}: {error}") from None
-    except Exception as error:  # readers fail in many ways on what is damaged
+    except Exception as error:  # the libraries raise many kinds of errors for damaged files
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise FileFormatError(
             f"{str(path)!r} can't be read as an image: {reason}. It is damaged, incomplete or "
-            "something else"
+            "of another format"
         ) from error
     return image

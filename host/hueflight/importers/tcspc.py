@@ -17,50 +17,88 @@ from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HueflightError, InstrumentError
 from hueflight.files import import_optional
+from hueflight.importers.options import ReadOptions
 from hueflight.model.instrument import Band, Instrument, Sensor, Timing
 from hueflight.model.time_bins import TimeBins
 
-BIN_WIDTH_TOLERANCE = 1e-3  #: of the bin width; over a whole period it moves a pulse a bin or so
+BIN_WIDTH_TOLERANCE = 1e-3  #: relative; over a whole period it shifts a pulse by about a bin
+
+RECORD_BYTES = 4  #: of an event in a PTU file
 
 
 @dataclass(frozen=True)
 class _Decays:
-    """Counts (row, col, bin) as the file holds them.
-
-    Attributes
-    ----------
-    period_ns : of the sync signal, where the file says.
-    """
+    """Counts (row, col, bin) as in the file, and the period of the sync signal if it states it."""
 
     counts: NDArray[Any]
     bin_width_ns: float
     period_ns: float | None
 
 
-def read_ptu(path: Path, instrument: Instrument, *, channel: int | None) -> NDArray[Any]:
-    """Histogram (row, col, code) of a PTU file of T3 mode, all its frames together.
+def read_ptu(
+    path: Path, instrument: Instrument | None, options: ReadOptions, /
+) -> tuple[NDArray[Any], Instrument]:
+    """Read the histogram of one channel of a PTU file in T3 mode, as the sum of all frames.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+    instrument : Instrument
+        Instrument that made the counts, which such files do not describe.
+    options : ReadOptions
+        Detection channel.
+
+    Returns
+    -------
+    counts : numpy.ndarray, shape (row, col, code)
+        The histogram.
+    instrument : Instrument
+        The instrument.
 
     Raises
     ------
     FileFormatError
-        If the file is not one, or has no such channel.
+        If the file can't be read or is incomplete, or the channel has no photons.
     InstrumentError
-        If it does not fit the instrument.
+        If the instrument is missing or does not fit the file.
     """
-    return _coded(_ptu_decays(path, channel), instrument, path)
+    options.refuse_all_but("channel", path=path)
+    given = _given(instrument, path)
+    return _coded(_ptu_decays(path, options.channel), given, path), given
 
 
-def read_sdt(path: Path, instrument: Instrument, *, block: str | None) -> NDArray[Any]:
-    """Histogram (row, col, code) of a data block of an SDT file.
+def read_sdt(
+    path: Path, instrument: Instrument | None, options: ReadOptions, /
+) -> tuple[NDArray[Any], Instrument]:
+    """Read the histogram in a data block of an SDT file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+    instrument : Instrument
+        Instrument that made the counts, which such files do not describe.
+    options : ReadOptions
+        Number of the data block, as `dataset`.
+
+    Returns
+    -------
+    counts : numpy.ndarray, shape (row, col, code)
+        The histogram.
+    instrument : Instrument
+        The instrument.
 
     Raises
     ------
     FileFormatError
-        If the file is not one, or has no such block.
+        If the file can't be read, or has no such block.
     InstrumentError
-        If it does not fit the instrument.
+        If the instrument is missing or does not fit the file.
     """
-    return _coded(_sdt_decays(path, block), instrument, path)
+    options.refuse_all_but("dataset", path=path)
+    given = _given(instrument, path)
+    return _coded(_sdt_decays(path, options.dataset), given, path), given
 
 
 def tcspc_instrument(
@@ -72,21 +110,32 @@ def tcspc_instrument(
     channel: int | None = None,
     block: str | None = None,
 ) -> Instrument:
-    """An instrument for a PTU or SDT file: its pixels, bins and period, and your bands.
+    """Make an instrument with the pixels, bins and period of a PTU or SDT file.
 
     Parameters
     ----------
-    path : ``.ptu`` or ``.sdt``.
-    bands : wavelengths and delays of the sources, which such files don't hold.
-    name : of the instrument; default the file's.
-    channel, block : as for `read_counts`.
+    path : str or pathlib.Path
+        Path of a ``.ptu`` or ``.sdt`` file.
+    bands : iterable of Band
+        Wavelengths and delays of the light sources, which such files do not state.
+    name : str, optional
+        Name of the instrument; by default that of the file.
+    channel : int, optional
+        Detection channel of a PTU file; by default the only one with photons.
+    block : str, optional
+        Number of the data block of an SDT file; by default the only one.
+
+    Returns
+    -------
+    Instrument
+        The instrument.
 
     Raises
     ------
     FileFormatError
         If the file can't be read.
     InstrumentError
-        If bands and file contradict.
+        If the bands contradict the file.
     """
     path = Path(path)
     if path.suffix.lower() not in (".ptu", ".sdt"):
@@ -120,18 +169,27 @@ def _ptu_decays(path: Path, channel: int | None) -> _Decays:
                     f"{str(path)!r} was measured in T2 mode: it has no time within a period; T3 "
                     "is needed"
                 )
-            active = list(ptu.active_channels)
+            present = (path.stat().st_size - ptu.record_offset) // RECORD_BYTES
+            if present < ptu.number_records:
+                raise FileFormatError(
+                    f"{str(path)!r} was cut short: its header announces {ptu.number_records} "
+                    f"records, but it holds {max(present, 0)}. Copy or export it again"
+                )
+            active = sorted(ptu.active_channels)
             if channel is None and len(active) > 1:
                 raise FileFormatError(
-                    f"{str(path)!r} has photons in channels {active}: say which with channel="
+                    f"{str(path)!r} has photons in channels {active}: say which with channel"
                 )
             if channel is not None and channel not in active:
                 raise FileFormatError(
                     f"{str(path)!r} has no photons in channel {channel}; it has {active}"
                 )
-            which = active.index(channel) if channel is not None else 0
+            if not active:
+                raise FileFormatError(f"{str(path)!r} has no photons in any channel")
+            # the arrays have an axis of all channels from the first to the last with photons
+            which = (active[0] if channel is None else channel) - active[0]
             if ptu.is_image:
-                # all frames added up; 32 bits so that bright pixels don't wrap
+                # the sum of all frames; 32 bits, so that bright pixels do not overflow
                 cube = ptu.decode_image(frame=-1, channel=which, dtype=np.uint32, keepdims=True)
                 counts = cube[0, :, :, 0, :]
             else:
@@ -141,25 +199,25 @@ def _ptu_decays(path: Path, channel: int | None) -> _Decays:
             )
     except HueflightError:
         raise
-    except Exception as error:  # the reader fails in many ways on what is damaged
+    except Exception as error:  # the library raises many kinds of errors for damaged files
         raise FileFormatError(f"{str(path)!r} can't be read as PTU: {error}") from error
 
 
 def _sdt_decays(path: Path, block: str | None) -> _Decays:
     sdtfile = import_optional("sdtfile", extra="import")
     try:
-        # opened here, since the reader leaves a damaged file open
+        # opened here, because the library leaves a damaged file open
         with path.open("rb") as file:
             sdt = sdtfile.SdtFile(file)
             blocks, times = list(sdt.data), list(sdt.times)
-    except Exception as error:  # the reader fails in many ways on what is damaged
+    except Exception as error:  # the library raises many kinds of errors for damaged files
         raise FileFormatError(f"{str(path)!r} can't be read as SDT: {error}") from error
     if not blocks:
         raise FileFormatError(f"{str(path)!r} holds no data block")
     if block is None and len(blocks) > 1:
         shapes = ", ".join(f"{i}: {data.shape}" for i, data in enumerate(blocks))
         raise FileFormatError(
-            f"{str(path)!r} holds {len(blocks)} data blocks ({shapes}): say which with dataset="
+            f"{str(path)!r} holds {len(blocks)} data blocks ({shapes}): say which with dataset"
         )
     number = block or "0"
     if not number.isdecimal() or int(number) >= len(blocks):
@@ -169,14 +227,53 @@ def _sdt_decays(path: Path, block: str | None) -> _Decays:
     data, time_s = blocks[int(number)], times[int(number)]
     if data.ndim > 3 or data.shape[-1] < 2:
         raise FileFormatError(
-            f"{str(path)!r}: data block {number} of shape {data.shape} is no image of decays"
+            f"{str(path)!r}: data block {number} of shape {data.shape} is not an image of decays"
         )
     counts = data.reshape((1,) * (3 - data.ndim) + data.shape)
     return _Decays(counts, float(time_s[1] - time_s[0]) * 1e9, None)
 
 
+def _given(instrument: Instrument | None, path: Path) -> Instrument:
+    if instrument is None:
+        raise InstrumentError(
+            f"{str(path)!r} does not say which bands there are: give an instrument "
+            "(importers.tcspc_instrument makes one from the file and your bands)"
+        )
+    return instrument
+
+
+def _folded(decays: _Decays, instrument: Instrument, path: Path) -> NDArray[Any]:
+    """Return the counts with those beyond the period added to the bins of the same phase.
+
+    Times are counted from a sync pulse. Where the next pulse was missed or the sync signal is
+    divided, they exceed the period of the light, of which only their phase matters. A bin beyond
+    the period goes to the bin in which its centre falls.
+    """
+    period_ns, width_ns = instrument.timing.period_ns, instrument.sensor.bin_width_ns
+    bins = decays.counts.shape[-1]
+    if period_ns is None:
+        return decays.counts
+    used = TimeBins.codes_needed(period_ns, width_ns)
+    if not decays.counts[..., used:].any():
+        return decays.counts[..., :used]
+    if decays.period_ns is not None:
+        pulses = decays.period_ns / period_ns
+        if abs(pulses - max(1, round(pulses))) * period_ns > width_ns / 2:
+            beyond = int(decays.counts[..., used:].sum(dtype=np.uint64))
+            raise InstrumentError(
+                f"{str(path)!r} has {beyond} photons beyond the period of {period_ns:g} ns of "
+                f"instrument {instrument.name!r}, and its sync signal has a period of "
+                f"{decays.period_ns:g} ns, which is no multiple of it: check timing.period_ns"
+            )
+    folded = decays.counts[..., :used].astype(np.promote_types(decays.counts.dtype, np.uint32))
+    for source in range(used, bins):
+        target = int((source + 0.5) * width_ns % period_ns / width_ns)
+        folded[..., target] += decays.counts[..., source]
+    return folded
+
+
 def _coded(decays: _Decays, instrument: Instrument, path: Path) -> NDArray[Any]:
-    """Counts on the instrument's codes, if they can be its."""
+    """Return the counts on the codes of the instrument, if it fits."""
     sensor = instrument.sensor
     if sensor.direction != "forward" or sensor.reports_empty:
         raise InstrumentError(
@@ -195,13 +292,14 @@ def _coded(decays: _Decays, instrument: Instrument, path: Path) -> NDArray[Any]:
             f"{str(path)!r} has {decays.counts.shape[:2]} pixels (row, col), instrument "
             f"{instrument.name!r} has {instrument.image_shape}"
         )
-    bins, codes = decays.counts.shape[-1], sensor.codes
+    counts = _folded(decays, instrument, path)
+    bins, codes = counts.shape[-1], sensor.codes
     if bins <= codes:
-        return np.pad(decays.counts, ((0, 0), (0, 0), (0, codes - bins)))
-    if decays.counts[..., codes:].any():
-        last = int(np.flatnonzero(decays.counts.any(axis=(0, 1)))[-1])
+        return np.pad(counts, ((0, 0), (0, 0), (0, codes - bins)))
+    if counts[..., codes:].any():
+        last = int(np.flatnonzero(counts.any(axis=(0, 1)))[-1])
         raise InstrumentError(
             f"{str(path)!r} has photons up to bin {last}, but sensor.code_bits = "
             f"{sensor.code_bits} gives {codes} codes: use more bits"
         )
-    return decays.counts[..., :codes]
+    return counts[..., :codes]

@@ -1,4 +1,4 @@
-"""What a histogram handed in by a user must be, checked once at the door."""
+"""Check of the histograms that users hand in."""
 
 from __future__ import annotations
 
@@ -21,7 +21,13 @@ def check_histogram(
     HistogramError
         If shape or type do not fit, a count is negative or not finite, or nothing was counted.
     """
-    array = np.asarray(counts)
+    if np.ma.is_masked(counts):
+        masked = int(np.ma.count_masked(counts))
+        raise HistogramError(
+            f"{name} has {masked} masked counts, which have no defined value: replace them first, "
+            "for example by .filled(0), or leave the pixels out"
+        )
+    array = _with_all_codes(np.asarray(counts), instrument)
     expected = instrument.histogram_shape
     if array.shape != expected:
         raise HistogramError(
@@ -67,6 +73,17 @@ def counters_full(counts: NDArray[Any]) -> NDArray[np.bool_]:
     if counts.dtype.kind == "f":
         return np.zeros(counts.shape[:2], dtype=bool)
     return (counts == np.iinfo(counts.dtype).max).any(axis=-1)
+
+
+def _with_all_codes(array: NDArray[Any], instrument: Instrument) -> NDArray[Any]:
+    """Append zeros for the codes after those that the period needs, if the array ends before."""
+    expected = instrument.histogram_shape
+    if array.ndim != 3 or array.shape[:2] != expected[:2]:
+        return array
+    codes = array.shape[2]
+    if not int(instrument.time_bins().codes.max()) < codes < expected[2]:
+        return array
+    return np.pad(array, ((0, 0), (0, 0), (0, expected[2] - codes)))
 
 
 def _shape_advice(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:

@@ -293,7 +293,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
             return cls.from_toml(text, where=f"preset {source!r}")
         path = Path(source)
         try:
-            text = path.read_text("utf-8")
+            text = path.read_text("utf-8-sig")  # some editors begin with a byte order mark
         except FileNotFoundError:
             raise InstrumentNotFoundError(
                 f"no instrument {str(source)!r}: neither a file nor one of the presets "

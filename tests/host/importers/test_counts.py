@@ -1,10 +1,14 @@
 """Counts of any camera from NumPy, Zarr and HDF5 files."""
 
+import sys
+from importlib.metadata import EntryPoint
 from itertools import permutations
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import h5py
+import msgspec
 import numpy as np
 import pytest
 import zarr
@@ -13,10 +17,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import hueflight as hf
-from hueflight.errors import FileFormatError, HistogramError, InstrumentError
+from hueflight.errors import FileFormatError, HistogramError, InstrumentError, OutputError
 from hueflight.export import write_histogram
-from hueflight.importers import read_counts
-from hueflight.importers.counts import arranged, count_codes
+from hueflight.importers import ReadOptions, read_capture, read_counts, readers, write_counts
+from hueflight.importers.arrays import arranged, count_codes
+from hueflight.model.histograms import check_histogram
 
 CAMERA = hf.Instrument.from_toml(
     """
@@ -163,3 +168,96 @@ def test_files_that_are_not_there_or_of_other_kinds(tmp_path: Path) -> None:
         read_counts(tmp_path / "x.npy")
     with pytest.raises(FileFormatError, match="leave dataset out"):
         read_counts(tmp_path / "x.npy", CAMERA, dataset="x")
+
+
+def periodic(period_ns: float) -> hf.Instrument:
+    """The camera with a period of fewer bins than its 64 codes."""
+    timing = msgspec.structs.replace(CAMERA.timing, period_ns=period_ns)
+    return CAMERA.replace(timing=timing)
+
+
+def test_as_many_bins_as_the_period_needs(counts: NDArray[Any], tmp_path: Path) -> None:
+    camera = periodic(59.5)  # 60 bins of 1 ns, the last of which is partial
+    for bins in (60, 62):
+        np.save(tmp_path / "a.npy", counts[..., :bins])
+        found, _ = read_counts(tmp_path / "a.npy", camera)
+        np.testing.assert_array_equal(found[..., :bins], counts[..., :bins])
+        assert found.shape == counts.shape
+        assert not found[..., bins:].any()
+    np.save(tmp_path / "a.npy", counts[..., :59])
+    with pytest.raises(HistogramError, match="number of codes differs"):
+        read_counts(tmp_path / "a.npy", camera)
+    np.save(tmp_path / "a.npy", counts[..., :60])  # without a period every code is needed
+    with pytest.raises(HistogramError, match="number of codes differs"):
+        read_counts(tmp_path / "a.npy", CAMERA)
+
+
+def test_counts_beyond_the_period_are_reported(counts: NDArray[Any], tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", counts)
+    capture = read_capture(tmp_path / "a.npy", periodic(60))
+    assert capture.losses == {"outside_period": int(counts[..., 60:].sum())}
+    np.testing.assert_array_equal(capture.counts, counts)
+    assert not read_capture(tmp_path / "a.npy", CAMERA).losses
+
+
+def test_masked_counts_are_refused(counts: NDArray[Any]) -> None:
+    masked = np.ma.MaskedArray(counts, mask=np.zeros(counts.shape, bool))
+    np.testing.assert_array_equal(check_histogram(masked, CAMERA), counts)
+    masked[1, 2] = np.ma.masked
+    with pytest.raises(HistogramError, match="has 64 masked counts"):
+        check_histogram(masked, CAMERA)
+
+
+def test_text_of_a_user_in_the_place_of_an_instrument(counts: NDArray[Any], tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", histogram=counts, instrument=np.array("my camera"))
+    with pytest.raises(FileFormatError, match=r"the entry 'instrument' is reserved .* 'my camera'"):
+        read_counts(tmp_path / "a.npz", CAMERA)
+
+
+def test_extensions_in_upper_case(counts: NDArray[Any], tmp_path: Path) -> None:
+    zarr.save_array(tmp_path / "a.ZARR", counts)
+    np.save(tmp_path / "b.npy", counts)
+    (tmp_path / "b.npy").rename(tmp_path / "b.NPY")
+    for name in ("a.ZARR", "b.NPY"):
+        np.testing.assert_array_equal(read_counts(tmp_path / name, CAMERA)[0], counts)
+
+
+def test_a_reader_of_another_package(
+    counts: NDArray[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_raw(
+        path: Path, instrument: hf.Instrument | None, options: ReadOptions, /
+    ) -> tuple[NDArray[Any], hf.Instrument]:
+        options.refuse_all_but(path=path)
+        assert instrument is not None
+        read = np.fromfile(path, np.uint32).reshape(instrument.histogram_shape)
+        return read, instrument
+
+    monkeypatch.setitem(sys.modules, "their_package", SimpleNamespace(read_raw=read_raw))
+    entry = EntryPoint("raw", "their_package:read_raw", readers.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(readers, "entry_points", lambda group: [entry])
+    counts.tofile(tmp_path / "a.raw")
+    np.testing.assert_array_equal(read_counts(tmp_path / "a.raw", CAMERA)[0], counts)
+    with pytest.raises(FileFormatError, match=r"counts are read from .*\.sdt, \.raw"):
+        read_counts(tmp_path / "a.txt", CAMERA)
+
+
+def test_counts_are_written_whole_or_not_at_all(
+    counts: NDArray[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.npz"
+    write_counts(path, counts, CAMERA)
+    before = path.read_bytes()
+    capture = read_capture(path)
+    np.testing.assert_array_equal(capture.counts, counts)
+    assert capture.instrument == CAMERA
+
+    def fail(file: Path, **arrays: NDArray[Any]) -> None:
+        file.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        write_counts(path, counts, CAMERA)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]

@@ -92,6 +92,80 @@ def test_ptu_channels(camera: hf.Instrument, tmp_path: Path) -> None:
         read_counts(tmp_path / "a.ptu", camera, channel=5)
 
 
+def test_ptu_channels_keep_their_numbers(camera: hf.Instrument, tmp_path: Path) -> None:
+    """Channel c of 0, 2 and 3 has c + 1 counts a pixel in bin 10 c + 5; channel 1 has none."""
+    cube = np.zeros((ROWS, COLS, 4, BINS), np.uint16)
+    for channel in (0, 2, 3):
+        cube[:, :, channel, 10 * channel + 5] = channel + 1
+    path = tmp_path / "a.ptu"
+    write_ptu(path, cube)
+    for channel in (0, 2, 3):
+        found, _ = read_counts(path, camera, channel=channel)
+        np.testing.assert_array_equal(found[..., :BINS], cube[:, :, channel])
+    with pytest.raises(FileFormatError, match=r"no photons in channel 1; it has \[0, 2, 3\]"):
+        read_counts(path, camera, channel=1)
+
+
+def test_ptu_channels_of_point_measurements(
+    camera: hf.Instrument, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same without an image: all photons of a channel in one pixel."""
+    cube = np.zeros((ROWS, COLS, 4, BINS), np.uint16)
+    for channel in (1, 3):
+        cube[:, :, channel, 10 * channel + 5] = channel + 1
+    path = tmp_path / "a.ptu"
+    write_ptu(path, cube)
+    monkeypatch.setattr(ptufile.PtuFile, "is_image", False)
+    point = camera.replace(sensor=msgspec.structs.replace(camera.sensor, rows=1, cols=1))
+    for channel in (1, 3):
+        found, _ = read_counts(path, point, channel=channel)
+        np.testing.assert_array_equal(found[0, 0, :BINS], cube[:, :, channel].sum(axis=(0, 1)))
+
+
+def test_ptu_photons_beyond_the_period_are_folded(camera: hf.Instrument, tmp_path: Path) -> None:
+    """In a period of 19.9 ns, 49.75 bins of 0.4 ns, bin 50 (centre 20.2 ns) is bin 0."""
+    timing = msgspec.structs.replace(camera.timing, period_ns=19.9)
+    short = camera.replace(timing=timing, bands=camera.bands[:1])
+    cube = np.zeros((ROWS, COLS, 110), np.uint16)
+    cube[..., 7], cube[..., 49], cube[..., 50], cube[..., 57], cube[..., 107] = 1, 2, 4, 8, 16
+    path = tmp_path / "a.ptu"
+    sync = {"global_resolution": 19.9e-9, "tcspc_resolution": BIN_NS * 1e-9}
+    ptufile.imwrite(path, cube, **sync)
+    found, _ = read_counts(path, short)
+    wanted = {7: 1 + 8, 49: 2, 0: 4, 8: 16}  # bin 107: 43.0 - 39.8 = 3.2 ns
+    for code, count in wanted.items():
+        assert (found[..., code] == count).all(), code
+    assert found.sum() == cube.sum()
+    # every second pulse of the light is a sync pulse
+    ptufile.imwrite(path, cube, **sync | {"global_resolution": 39.8e-9})
+    np.testing.assert_array_equal(read_counts(path, short)[0], found)
+    ptufile.imwrite(path, cube, **sync | {"global_resolution": 50e-9})
+    with pytest.raises(InstrumentError, match=r"photons beyond the period of 19\.9 ns .* 50 ns"):
+        read_counts(path, short)
+
+
+def test_ptu_that_was_cut_short_is_refused(
+    counts: NDArray[Any], camera: hf.Instrument, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.ptu"
+    write_ptu(path, counts)
+    whole = path.read_bytes()
+    for lost in (1, 4, len(whole) // 4):
+        path.write_bytes(whole[:-lost])
+        with pytest.raises(FileFormatError, match="was cut short: its header announces"):
+            read_counts(path, camera)
+
+
+def test_options_of_other_readers_are_refused(
+    counts: NDArray[Any], camera: hf.Instrument, tmp_path: Path
+) -> None:
+    write_ptu(tmp_path / "a.PTU", counts)
+    found, _ = read_counts(tmp_path / "a.PTU", camera)
+    np.testing.assert_array_equal(found[..., :BINS], counts)
+    with pytest.raises(FileFormatError, match="no dataset; leave dataset = 'x' out"):
+        read_counts(tmp_path / "a.PTU", camera, dataset="x")
+
+
 def test_instrument_from_a_file(
     counts: NDArray[Any], camera: hf.Instrument, tmp_path: Path
 ) -> None:

@@ -176,3 +176,8 @@ def test_equal_instruments_have_one_fingerprint() -> None:
 def test_fingerprints_of_presets_are_fixed(preset: str, fingerprint: str) -> None:
     """Calibrations and images that exist refer to them."""
     assert Instrument.load(preset).fingerprint() == fingerprint
+
+
+def test_file_that_begins_with_a_byte_order_mark(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(SMALLEST, encoding="utf-8-sig")
+    assert Instrument.load(tmp_path / "mine.toml") == Instrument.from_toml(SMALLEST)

@@ -17,10 +17,10 @@ from .report import REQUIRED_MARGIN, BuildError
 COMMAND = "python -m hueflight_hdl.build.table build > docs/bitstreams.md"
 _HEAD = f"""# Bitstreams
 
-What each design takes and how fast it can run, from real builds with the open toolchain
-(yosys, nextpnr, Project Trellis and Project IceStorm). Every clock has to be able to run at least
-{REQUIRED_MARGIN:.0%} faster than it does; a build that falls short ends with exit code 2 and says
-so. The same sources, tools and seed give the same bits.
+The resources and clock frequencies of each design, from real builds with the open toolchain
+(yosys, nextpnr, Project Trellis and Project IceStorm). Every clock must be able to run at least
+{REQUIRED_MARGIN:.0%} faster than its frequency; otherwise the build ends with exit code 2
+and a message. The same sources, tools and seed give the same bits.
 
 This page is generated from the reports of those builds:
 
@@ -30,14 +30,14 @@ This page is generated from the reports of those builds:
 """
 _COUNTS = """## After synthesis
 
-Counted by yosys before anything is packed or placed, with `hueflight-hdl verilog DESIGN --board
+Cells counted by yosys before packing and placement, with `hueflight-hdl verilog DESIGN --board
 BOARD --count`. For the boards of the paper, whose FPGAs only the vendor's ISE can place and route,
-it is an **estimate**: their tools pack differently, and the vendor's host interface is not
+the count is an **estimate**: the vendor's tools pack differently, and the host interface is not
 counted. Lanes are the codes that the sensor port takes in each clock.
 """
 
 _LINKS = """
-## How far the links are tested
+## Tests of the links
 
 | link | board | tested |
 |---|---|---|

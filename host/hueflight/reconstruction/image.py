@@ -1,17 +1,16 @@
-"""The image: what reconstruction gives, labelled with dimensions, wavelengths and units."""
+"""Build the image: estimates labeled with dimensions, wavelengths and units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
+from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.quality import Quality
 
 UNITS = {
@@ -36,38 +35,23 @@ LONG_NAMES = {
 }
 
 
-@dataclass(frozen=True)
-class Estimates:
-    """Raw results of an estimator, pixels in any order.
-
-    Attributes
-    ----------
-    depth, depth_std : (row, col), m.
-    reflectance, reflectance_std : (band, row, col).
-    background, photons : (row, col).
-    quality : (row, col) bits of `Quality`.
-    other_depth : (row, col), m: second depth of ambiguous pixels, else NaN; None from a method
-        that looks for one depth only.
-    resolution : (row, col) width, in pixels, of the square of as many pixels as the estimate
-        rests on; None from a method that keeps to each pixel's own photons.
-    white_photons : (row, col) photons that reflectance 1 in all bands would have given; None
-        from a method whose amplitudes are not in photons.
-    """
-
-    depth: NDArray[np.float64]
-    depth_std: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-    reflectance_std: NDArray[np.float64]
-    background: NDArray[np.float64]
-    photons: NDArray[np.float64]
-    quality: NDArray[np.uint16]
-    other_depth: NDArray[np.float64] | None = None
-    resolution: NDArray[np.float64] | None = None
-    white_photons: NDArray[np.float64] | None = None
-
-
 def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> xr.Dataset:
-    """Dataset with dims (row, col) and (row, col, band), units and provenance in attributes."""
+    """Return estimates as a labeled image.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        What a method found.
+    calibration : Calibration
+        Calibration that it used.
+    method : str
+        Name of the method.
+
+    Returns
+    -------
+    Dataset
+        Dimensions (row, col) and (row, col, band); units and provenance in the attributes.
+    """
     plane, cube = ("row", "col"), ("row", "col", "band")
     variables = {}
     for name, unit in UNITS.items():
@@ -123,5 +107,5 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
 
 @cache
 def _software() -> str:
-    """Name and version; read once, since that is a search of the disk."""
+    """Return name and version; cached, because looking them up searches the disk."""
     return f"hueflight {version('hueflight')}"

@@ -1,4 +1,4 @@
-"""What comes in at the door: a histogram checked, its exposures and full counters, in one pass."""
+"""Check a histogram and prepare it for the methods, in one pass over its counts."""
 
 from __future__ import annotations
 
@@ -15,28 +15,48 @@ from hueflight.model.histograms import check_histogram, counters_full, frames_pe
 
 @dataclass(frozen=True)
 class PreparedHistogram:
-    """A histogram that fits its instrument.
+    """A histogram that fits its instrument, as every method receives it.
 
     Attributes
     ----------
-    counts : (row, col, code).
-    light : (row, col, bin) in time order, of a type that the fit reads.
-    photons : (row, col) counts of the light.
-    frames : (row, col) exposures, or None where it can't be known.
-    full : (row, col) a counter is at its end.
+    counts : ndarray, shape (row, col, code)
+        The histogram itself, raw codes on the last axis.
+    light : ndarray of uint16, uint32 or float32, shape (row, col, bin)
+        The same counts in time order, without codes that stand for no photon.
+    photons : ndarray of float64, shape (row, col)
+        Sums of `light`.
+    exposures : ndarray of float64, shape (row, col), or None
+        Exposures behind each pixel, where they are known.
+    full : ndarray of bool, shape (row, col)
+        True where a counter is at the end of its type.
     """
 
     counts: NDArray[Any]
     light: NDArray[Any]
     photons: NDArray[np.float64]
-    frames: NDArray[np.float64] | None
+    exposures: NDArray[np.float64] | None
     full: NDArray[np.bool_]
 
 
 def prepare_histogram(
     histogram: ArrayLike, calibration: Calibration, frames: ArrayLike | None
 ) -> PreparedHistogram:
-    """Check a histogram and see what is behind it.
+    """Check a histogram and prepare it.
+
+    Parameters
+    ----------
+    histogram : array_like, shape (row, col, code)
+        Counts, raw codes on the last axis.
+    calibration : Calibration
+        Calibration of the same instrument.
+    frames : array_like, shape (row, col), or float, optional
+        Exposures behind the histogram; by default the sum over codes where the sensor reports its
+        empty exposures, else unknown.
+
+    Returns
+    -------
+    PreparedHistogram
+        The counts, checked and in time order.
 
     Raises
     ------

@@ -17,8 +17,9 @@ from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.undersampling import is_resolved, resolved
-from hueflight.reconstruction.image import Estimates
-from hueflight.reconstruction.options import DEFAULT_SKIPS, Skips
+from hueflight.reconstruction.estimates import Estimates
+from hueflight.reconstruction.inputs import PreparedHistogram
+from hueflight.reconstruction.options import DEFAULT_SKIPS, EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reflectance import reflectance_scale
 
@@ -259,3 +260,29 @@ def _quality(
     two[chosen] = np.isfinite(found.other_ns)
     quality[two] |= int(Quality.AMBIGUOUS)
     return quality
+
+
+class _Estimator:
+    """The joint fit, as method ``"joint"``."""
+
+    honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
+
+    def estimate(
+        self, prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
+    ) -> Estimates:
+        """Estimate an image; see `hueflight.reconstruction.methods.Estimator`."""
+        return estimate(
+            prepared.light,
+            prepared.exposures,
+            calibration,
+            photons=prepared.photons,
+            range_correction=options.range_correction,
+            pileup_correction=options.pileup_correction,
+            depth_range=options.depth_range,
+            region=options.region,
+            skips=options.skips,
+            threads=options.threads,
+        )
+
+
+ESTIMATOR = _Estimator()

@@ -1,4 +1,4 @@
-"""What a scene may not need: each skip has a name and can be switched off."""
+"""Options of reconstruction, and the parts of an image that are asked for."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hueflight.calibration import Calibration
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.fit.reference import DEFAULT, FitOptions
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.quality import Quality
 
 Region = tuple[slice, slice] | NDArray[np.bool_]
@@ -21,15 +21,25 @@ Region = tuple[slice, slice] | NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Skips:
-    """What the joint fit leaves out; the image stays the same but for what is stated.
+    """What the joint fit may leave out; the image stays the same except as stated.
 
     Attributes
     ----------
-    empty : pixels without a photon are not fitted: nothing is known of them either way.
-    defects : dead and hot pixels are not fitted: their results are never shown.
-    depth_target : m; pixels whose depth is known this well after the search's wide bins keep that
-        result, within 0.3 of its standard deviation of the full one. 0 for none.
-    switches : steps of the fit; see `FitOptions`.
+    empty : bool
+        Do not fit pixels without a photon: nothing is known of them either way.
+    defects : bool
+        Do not fit dead and hot pixels: their results are never shown.
+    depth_target : float
+        Standard deviation of depth, m. Pixels whose depth is known this well after the wide bins
+        of the search keep that result, which is within 0.3 standard deviations of the full one.
+        0 for none.
+    switches : FitOptions
+        Steps of the fit.
+
+    Raises
+    ------
+    HueflightError
+        If `depth_target` is negative or not finite.
     """
 
     empty: bool = True
@@ -44,7 +54,18 @@ class Skips:
             )
 
     def of_fit(self, calibration: Calibration) -> FitOptions:
-        """FitOptions of the fit with the target as a delay."""
+        """Return the options of the fit, with the target as a delay.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Calibration of the instrument, which gives the angles of the rays.
+
+        Returns
+        -------
+        FitOptions
+            Options of the fit.
+        """
         if not self.depth_target:
             return self.switches
         steepest = float(calibration.instrument.ray_cosine().max())
@@ -60,8 +81,53 @@ NO_SKIPS = Skips(
 DEFAULT_SKIPS = Skips()
 
 
+@dataclass(frozen=True, kw_only=True)
+class EstimatorOptions:
+    """Options that every method receives.
+
+    Attributes
+    ----------
+    depth_range : tuple of float, or None
+        Nearest and farthest depth to search, m; None for half the spacing of the pulses about the
+        distance of the reference.
+    range_correction : bool
+        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    pileup_correction : bool
+        Undo the loss of photons that arrive after the first one of an exposure.
+    region : ndarray of bool, shape (row, col), or None
+        Pixels that are asked for, None for all. A method may estimate more.
+    skips : Skips
+        What a method may leave out.
+    threads : int
+        Threads that a method may use.
+    """
+
+    depth_range: tuple[float, float] | None = None
+    range_correction: bool = False
+    pileup_correction: bool = True
+    region: NDArray[np.bool_] | None = None
+    skips: Skips = DEFAULT_SKIPS
+    threads: int = 1
+
+
+#: fields of `EstimatorOptions` that change the result, so that a method must not ignore them
+BINDING_OPTIONS = frozenset({"depth_range", "range_correction", "pileup_correction"})
+
+
 def region_mask(region: Region | None, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Pixels (row, col) of a region: two slices, or a mask.
+    """Return the pixels of a region as a mask.
+
+    Parameters
+    ----------
+    region : tuple of two slices, ndarray of bool of shape (row, col), or None
+        Rows and columns, a mask, or None for all pixels.
+    shape : tuple of int
+        Rows and columns of the image.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, col)
+        True for pixels of the region.
 
     Raises
     ------
@@ -90,7 +156,15 @@ def region_mask(region: Region | None, shape: tuple[int, int]) -> NDArray[np.boo
 
 
 def leave_out(estimates: Estimates, pixels: NDArray[np.bool_]) -> None:
-    """Pixels (row, col) that were not asked for: no results, flagged skipped."""
+    """Remove the results of pixels that were not asked for, and flag them skipped.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Results, which are changed.
+    pixels : ndarray of bool, shape (row, col)
+        Pixels to leave out.
+    """
     if not pixels.any():
         return
     for values in (estimates.depth, estimates.depth_std, estimates.background):
@@ -104,7 +178,19 @@ def leave_out(estimates: Estimates, pixels: NDArray[np.bool_]) -> None:
 
 
 def band_numbers(bands: Any, calibration: Calibration) -> list[int]:
-    """Places of the bands asked for, by name or number, in the order given.
+    """Return the numbers of the bands that are asked for, in the order given.
+
+    Parameters
+    ----------
+    bands : sequence of str or int, or None
+        Names or numbers; None for all bands.
+    calibration : Calibration
+        Calibration of the instrument.
+
+    Returns
+    -------
+    list of int
+        Numbers of the bands.
 
     Raises
     ------

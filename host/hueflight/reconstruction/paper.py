@@ -18,7 +18,9 @@ from scipy.ndimage import correlate1d
 from hueflight.calibration import Calibration, window_sums
 from hueflight.fit.correlation import correlate, peak_centroid
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.estimates import Estimates
+from hueflight.reconstruction.inputs import PreparedHistogram
+from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.paper_kernel import Measured, Search, measure
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reflectance import reflectance_scale
@@ -244,3 +246,25 @@ def _background(light: NDArray[np.floating], calibration: Calibration) -> NDArra
     if not outside.any():
         return np.full(len(light), np.nan)
     return light[:, outside].mean(axis=-1, dtype=np.float64)
+
+
+class _Estimator:
+    """The published method, as method ``"paper"``."""
+
+    honors = frozenset({"range_correction", "pileup_correction"})
+
+    def estimate(
+        self, prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
+    ) -> Estimates:
+        """Estimate an image; see `hueflight.reconstruction.methods.Estimator`."""
+        return estimate(
+            prepared.light,
+            prepared.exposures,
+            calibration,
+            photons=prepared.photons,
+            range_correction=options.range_correction,
+            pileup_correction=options.pileup_correction,
+        )
+
+
+ESTIMATOR = _Estimator()

@@ -6,11 +6,23 @@ from enum import IntFlag
 
 
 class Quality(IntFlag):
-    """Bits of `image.quality`; a pixel may carry several.
+    """Bits of the variable `quality` of an image; a pixel may carry several.
 
-    DEAD : never sees a photon. HOT : fires whatever the LEDs do. LOW_SIGNAL : too few photons to
-    say where it is. SATURATED : a counter may have hit its end. AMBIGUOUS : a second depth is
-    nearly as likely. SKIPPED : left out on request.
+    Attributes
+    ----------
+    DEAD : int
+        The pixel never detects a photon.
+    HOT : int
+        The pixel fires whatever the LEDs do.
+    LOW_SIGNAL : int
+        There are too few photons to tell the depth. Images of earlier versions call it
+        ``starved`` in ``flag_meanings``; `STARVED` is the same bit.
+    SATURATED : int
+        A counter may have reached its end.
+    AMBIGUOUS : int
+        A second depth is nearly as likely.
+    SKIPPED : int
+        The pixel was left out on request.
     """
 
     DEAD = 1
@@ -19,3 +31,4 @@ class Quality(IntFlag):
     SATURATED = 8
     AMBIGUOUS = 16
     SKIPPED = 32
+    STARVED = LOW_SIGNAL

@@ -1,4 +1,4 @@
-"""The door to reconstruction: one histogram and a calibration in, one image out."""
+"""The entry point of reconstruction: a histogram and a calibration in, an image out."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from hueflight.calibration import Calibration
-from hueflight.errors import HistogramError, HueflightError
-from hueflight.reconstruction import joint, paper
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.inputs import prepare_histogram
+from hueflight.reconstruction.methods import METHODS, check_options, find_method
 from hueflight.reconstruction.options import (
     DEFAULT_SKIPS,
+    EstimatorOptions,
     Region,
     Skips,
     band_numbers,
     leave_out,
     region_mask,
 )
-from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.quality import Quality
 
-METHODS = ("joint", "paper", "pooled")
+__all__ = ["METHODS", "reconstruct"]
 
 
 def reconstruct(
@@ -41,85 +40,70 @@ def reconstruct(
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
 ) -> xr.Dataset:
-    """Depth and reflectance in every band from one histogram per pixel.
+    """Reconstruct depth and reflectance in every band from one histogram per pixel.
 
     Parameters
     ----------
-    histogram : (row, col, code) counts, raw codes on the last axis.
-    calibration : of the same instrument.
-    method : ``"joint"``, maximum likelihood of delay, every band's amplitude and background
-        together; ``"pooled"``, the same for few photons: neighbours lend where a pixel's own
-        don't suffice; or ``"paper"``, the published correlation method.
-    depth_range : nearest and farthest depth to search, m (not for ``"paper"``); default half the
-        pulses' spacing about the reference's distance.
-    frames : exposures behind the histogram, a number or (row, col); by default the sum over
-        codes where the sensor reports its empty exposures, else as many as the reference had.
-    range_correction : multiply reflectance by the squared ratio of distances.
-    pileup_correction : undo the loss of later photons of an exposure, where the sensor reports
-        its empty exposures or `frames` says how many there were.
-    bands : names or numbers of those whose reflectance is wanted, default all. All are fitted:
-        depth rests on every band's light.
-    region : two slices (``np.s_[10:20, 30:40]``) or a mask (row, col): pixels outside are left
-        out and flagged skipped (``"joint"`` only saves time by it).
-    skips : what ``"joint"`` may leave out.
-    threads : that share the pixels (not for ``"paper"``).
+    histogram : array_like, shape (row, col, code)
+        Counts, raw codes on the last axis.
+    calibration : Calibration
+        Calibration of the same instrument.
+    method : str
+        A key of `METHODS`: ``"joint"`` is the maximum likelihood of delay, amplitude of every band
+        and background together; ``"pooled"`` is for few photons, where neighboring pixels lend
+        theirs; ``"paper"`` is the published correlation method.
+    depth_range : tuple of float, optional
+        Nearest and farthest depth to search, m; by default half the spacing of the pulses about
+        the distance of the reference. ``"paper"`` does not take it.
+    frames : array_like, shape (row, col), or float, optional
+        Exposures behind the histogram; by default the sum over codes where the sensor reports its
+        empty exposures, else as many as the reference had.
+    range_correction : bool
+        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    pileup_correction : bool
+        Undo the loss of later photons of an exposure, where the sensor reports its empty exposures
+        or `frames` says how many there were.
+    bands : sequence of str or int, optional
+        Names or numbers of the bands whose reflectance is wanted, by default all. All bands are
+        fitted in any case, because depth rests on the light of every band.
+    region : tuple of two slices, or array of bool with shape (row, col), optional
+        Rows and columns, such as ``np.s_[10:20, 30:40]``, or a mask. Pixels outside have no result
+        and are flagged skipped. Only ``"joint"`` saves time by it.
+    skips : Skips
+        What ``"joint"`` may leave out.
+    threads : int
+        Threads that share the pixels; ``"paper"`` uses one.
 
     Returns
     -------
-    Dataset with `depth`, `depth_std` (m), `reflectance`, `reflectance_std`, `background`
-    (counts per code), `photons` and `quality`; what can't be known is NaN with a flag. Method
-    ``"pooled"`` adds `resolution`, the width in pixels of what an estimate rests on.
+    Dataset
+        Variables `depth`, `depth_std` (m), `reflectance`, `reflectance_std`, `background` (counts
+        per code), `photons` and `quality`; what can't be known is NaN and flagged. Method
+        ``"pooled"`` adds `resolution`, the width in pixels of what an estimate rests on.
 
     Raises
     ------
     HistogramError
-        If the histogram does not fit the calibration's instrument, or is empty.
+        If the histogram does not fit the calibration's instrument or is empty, or if there is no
+        such method, region or band.
+    HueflightError
+        If the method can't take an option into account.
     """
-    if method not in METHODS:
-        raise HistogramError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
-    instrument = calibration.instrument
-    seen = prepare_histogram(histogram, calibration, frames)
-    counts, light, exposures = seen.counts, seen.light, seen.frames
-    wanted = region_mask(region, instrument.image_shape)
+    estimator = find_method(method)
+    prepared = prepare_histogram(histogram, calibration, frames)
+    wanted = region_mask(region, calibration.instrument.image_shape)
     numbers = band_numbers(bands, calibration)
-    if method == "pooled":
-        estimates = few_photons.estimate(
-            counts,
-            exposures,
-            calibration,
-            range_correction=range_correction,
-            pileup_correction=pileup_correction,
-            depth_range=depth_range,
-            threads=threads,
-        )
-    elif method == "joint":
-        estimates = joint.estimate(
-            light,
-            exposures,
-            calibration,
-            photons=seen.photons,
-            range_correction=range_correction,
-            pileup_correction=pileup_correction,
-            depth_range=depth_range,
-            region=wanted,
-            skips=skips,
-            threads=threads,
-        )
-    elif depth_range is not None:
-        raise HueflightError(
-            f"depth_range = {depth_range!r}: method {method!r} searches half the pulses' spacing "
-            "only; use method='joint'"
-        )
-    else:
-        estimates = paper.estimate(
-            light,
-            exposures,
-            calibration,
-            photons=seen.photons,
-            range_correction=range_correction,
-            pileup_correction=pileup_correction,
-        )
-    estimates.quality[seen.full] |= int(Quality.SATURATED)
+    options = EstimatorOptions(
+        depth_range=depth_range,
+        range_correction=range_correction,
+        pileup_correction=pileup_correction,
+        region=wanted,
+        skips=skips,
+        threads=threads,
+    )
+    check_options(method, estimator, options)
+    estimates = estimator.estimate(prepared, calibration, options)
+    estimates.quality[prepared.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
     image = as_image(estimates, calibration, method=method)
     return image if bands is None else image.isel(band=numbers)

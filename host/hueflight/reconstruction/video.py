@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.fit.solver import change_reference, change_significance
-from hueflight.reconstruction.image import Estimates, as_image
+from hueflight.reconstruction.estimates import Estimates
+from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.inputs import prepare_histogram
 from hueflight.reconstruction.joint import (
     fit_chosen,
@@ -108,11 +109,11 @@ class Video:
         calibration = self.calibration
         seen = prepare_histogram(histogram, calibration, frames)
         flat = seen.light.reshape(-1, seen.light.shape[-1])
-        changed = self._differs(flat, seen.photons, seen.frames)
+        changed = self._differs(flat, seen.photons, seen.exposures)
         if due is not None:
             changed |= due
         changed &= calibration.usable
-        kept = self._kept = self._fitted(flat, seen.photons, seen.frames, changed)
+        kept = self._kept = self._fitted(flat, seen.photons, seen.exposures, changed)
         quality = kept.estimates.quality.copy()
         quality[calibration.usable & ~changed] |= int(Quality.SKIPPED)
         quality[seen.full] |= int(Quality.SATURATED)

@@ -23,7 +23,9 @@ from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction import joint
-from hueflight.reconstruction.image import Estimates
+from hueflight.reconstruction.estimates import Estimates
+from hueflight.reconstruction.inputs import PreparedHistogram
+from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.pooled.adaptive_weights import (
     LIMITS,
     TINY,
@@ -348,3 +350,26 @@ def _in_metres(
         quality=quality,
         resolution=resolution,
     )
+
+
+class _Estimator:
+    """The pooled method, as method ``"pooled"``."""
+
+    honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
+
+    def estimate(
+        self, prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
+    ) -> Estimates:
+        """Estimate an image; see `hueflight.reconstruction.methods.Estimator`."""
+        return estimate(
+            prepared.counts,
+            prepared.exposures,
+            calibration,
+            range_correction=options.range_correction,
+            pileup_correction=options.pileup_correction,
+            depth_range=options.depth_range,
+            threads=options.threads,
+        )
+
+
+ESTIMATOR = _Estimator()

@@ -1,0 +1,47 @@
+"""What every method returns: plain arrays, not yet labeled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Result of a method for every pixel.
+
+    Attributes
+    ----------
+    depth, depth_std : ndarray of float, shape (row, col)
+        Depth along the optical axis and its standard deviation, m.
+    reflectance, reflectance_std : ndarray of float, shape (band, row, col)
+        Reflectance relative to the reference target and its standard deviation.
+    background : ndarray of float, shape (row, col)
+        Counts per code that the pulses do not explain.
+    photons : ndarray of float, shape (row, col)
+        Photons in the histogram of the pixel itself.
+    quality : ndarray of uint16, shape (row, col)
+        Bits of `Quality`.
+    other_depth : ndarray of float, shape (row, col), or None
+        Second depth of ambiguous pixels, else NaN, m. None from a method that looks for one depth
+        only.
+    resolution : ndarray of float, shape (row, col), or None
+        Width in pixels of the square that holds as many pixels as the estimate rests on. None from
+        a method that uses the photons of each pixel alone.
+    white_photons : ndarray of float, shape (row, col), or None
+        Photons that a reflectance of 1 in all bands would have given. None from a method whose
+        amplitudes are not in photons.
+    """
+
+    depth: NDArray[np.float64]
+    depth_std: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+    reflectance_std: NDArray[np.float64]
+    background: NDArray[np.float64]
+    photons: NDArray[np.float64]
+    quality: NDArray[np.uint16]
+    other_depth: NDArray[np.float64] | None = None
+    resolution: NDArray[np.float64] | None = None
+    white_photons: NDArray[np.float64] | None = None

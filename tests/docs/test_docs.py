@@ -1,5 +1,6 @@
 """The documentation builds without warnings, its code runs, and it covers the public interface."""
 
+import ast
 import doctest
 import importlib
 import inspect
@@ -83,6 +84,18 @@ def test_every_package_has_a_page() -> None:
 def test_every_page_is_in_the_table_of_contents() -> None:
     contents = (API_PAGES / "index.md").read_text().partition("```{toctree}")[2].split()
     assert {page.stem for page in API_PAGES.glob("*.md")} - {"index"} <= set(contents)
+
+
+def test_contributing_states_the_order_of_packages() -> None:
+    tree = ast.parse((ROOT / "tests/system/architecture/test_import_order.py").read_text())
+    order = next(
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ORDER"
+    )
+    table = (ROOT / "CONTRIBUTING.md").read_text().partition("| package of `host/hueflight` |")[2]
+    stated = re.findall(r"^\| `(\w+)` \|", table.partition("\n\n")[0], flags=re.MULTILINE)
+    assert tuple(stated) == order
 
 
 def test_examples_in_docstrings_are_true() -> None:

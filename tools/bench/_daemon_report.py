@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -112,9 +111,8 @@ def plot(path: Path, run: dict[str, Any]) -> None:
 
 
 def into_documentation(name: str, run: dict[str, Any]) -> None:
-    """Put tables, plot and numbers of a run where the page of the daemon includes them."""
+    """Put tables and plot of a run where the page of the daemon includes them."""
     results = DOCS / "results"
     results.mkdir(exist_ok=True)
-    (results / f"daemon-{name}.json").write_text(json.dumps(run, indent=1) + "\n")
     (results / f"daemon-{name}.inc").write_text(tables(run))
     plot(DOCS / "images" / f"daemon-{name}.svg", run)

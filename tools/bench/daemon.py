@@ -410,7 +410,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where the recording goes meanwhile")
     parser.add_argument("--plot", type=Path, help="file to draw the run in")
     parser.add_argument(
-        "--docs", choices=("run", "delay"), help="put plot, tables and JSON into docs/"
+        "--docs", choices=("run", "delay"), help="write the plot and the tables into docs/"
     )
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()

@@ -53,7 +53,7 @@ class LiveColor:
         Returns
         -------
         array of uint8, shape (row, col, 3), or None
-            sRGB values, 0 where the reflectance is unknown; None if too few bands are visible.
+            Values of sRGB, 0 where the reflectance is unknown; None if too few bands are visible.
         """
         reflectance = image["reflectance"].values
         known = np.asarray(np.isfinite(reflectance).all(axis=-1))

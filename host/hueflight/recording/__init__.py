@@ -1,4 +1,4 @@
-"""Recordings: the camera's packets exactly as received, in MCAP files that outlive a crash.
+"""Recordings: the camera's packets exactly as received, in MCAP files that survive a crash.
 
 >>> import tempfile
 >>> from pathlib import Path

@@ -26,18 +26,33 @@ from hueflight_protocol.wire import FRAME_HEADER
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingInfo:
-    """What there is to say about a recording without counting photons.
+    """Facts about a recording that are known without counting photons.
 
-    Attributes
+    Parameters
     ----------
-    path : first file; segments : how many files there are.
-    complete : whether the recording was ended, so that no segment can be missing at its end.
-    instrument : name of the instrument.
-    started : when, ISO 8601 in UTC.
-    frames, size : frames, and bytes of all files.
-    seconds : from the first to the last frame by the device clock; None where it has no rate.
-    metadata, attachments : what the user gave.
-    report : what the stream had brought when the last segment was finished.
+    path : str
+        Path of the first file.
+    segments : int
+        Number of files.
+    complete : bool
+        True if the recording was ended, so that no segment can be missing at its end.
+    instrument : str
+        Name of the instrument.
+    started : str
+        Time at which the recording started, ISO 8601 in UTC.
+    frames : int
+        Number of frames.
+    size : int
+        Bytes of all files together.
+    seconds : float or None
+        Time from the first to the last frame by the device clock; None if the packets state no
+        clock rate.
+    metadata : dict of str
+        Notes of the user about the capture.
+    attachments : tuple of str
+        Names of the user's attachments.
+    report : dict of int
+        Totals of the stream when the last segment was finished.
     """
 
     path: str
@@ -53,20 +68,39 @@ class RecordingInfo:
     report: dict[str, int]
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, for JSON."""
+        """Return all facts as a dictionary, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Facts by name.
+        """
         return asdict(self)
 
 
 class Recording:
-    """A recording that was finished. Make it with `open_recording`.
+    """A finished recording, as `open_recording` returns it.
 
-    Frames are numbered from 0, in the order in which they came, whatever the camera calls them.
+    Frames are numbered from 0, in the order in which they arrived, whatever their numbers in the
+    camera.
+
+    Parameters
+    ----------
+    path : Path
+        First file.
+    segments : list of SegmentReader
+        Open segments in order.
+    kernels : Kernels or None
+        Kernels that count photons; None for the fastest available.
 
     Attributes
     ----------
     instrument : Instrument
-    metadata : dict of str, what the user said about the capture.
-    frames : number of frames.
+        Instrument that took the recording.
+    metadata : dict of str
+        Notes of the user about the capture.
+    frames : int
+        Number of frames.
     """
 
     def __init__(self, path: Path, segments: list[SegmentReader], kernels: Kernels | None) -> None:
@@ -83,21 +117,24 @@ class Recording:
         counts = [len(segment.index) for segment in segments]
         self._file = np.repeat(np.arange(len(segments)), counts)
 
-    # -- what the user calls -----------------------------------------------------------------------
+    # -- public interface --------------------------------------------------------------------------
 
     def histogram(self, start: int = 0, stop: int | None = None, *, threads: int = 1) -> Counts:
-        """Counts of the frames from `start` up to `stop`, not included.
+        """Return the histogram of a slice of frames.
 
         Parameters
         ----------
-        start, stop : int
-            Frames; by default all. See `frame_at` for slices of time.
+        start : int
+            First frame. See `frame_at` for slices of time.
+        stop : int, optional
+            Frame after the last one; by default the end of the recording.
         threads : int
             Threads over pixels.
 
         Returns
         -------
-        uint16 or uint32 array (row, col, code)
+        array of uint16 or uint32, shape (row, col, code)
+            Counts of each pixel.
 
         Raises
         ------
@@ -109,17 +146,26 @@ class Recording:
     def histograms_by_step(
         self, start: int = 0, stop: int | None = None, *, threads: int = 1
     ) -> Counts:
-        """One histogram for each step of the illuminator, such as one LED at a time.
+        """Return one histogram for each step of the illuminator, such as one LED at a time.
 
         Parameters
         ----------
-        start, stop, threads
-            As in `histogram`.
+        start : int
+            First frame.
+        stop : int, optional
+            Frame after the last one; by default the end of the recording.
+        threads : int
+            Threads over pixels.
 
         Returns
         -------
-        array (step, row, col, code)
-            In rising order of the steps that occur.
+        array of uint16 or uint32, shape (step, row, col, code)
+            Counts in rising order of the steps that occur.
+
+        Raises
+        ------
+        RecordingError
+            If there are no such frames, or the files can't be read.
         """
         by_step, _ = self.accumulate_by_step(start, stop, threads=threads)
         if not by_step:
@@ -129,29 +175,103 @@ class Recording:
     def accumulate(
         self, start: int = 0, stop: int | None = None, *, threads: int = 1
     ) -> tuple[Counts, IngestReport]:
-        """Counts of a slice of frames, and what came and did not come in it."""
+        """Return the histogram of a slice of frames and the totals of its stream.
+
+        Parameters
+        ----------
+        start : int
+            First frame.
+        stop : int, optional
+            Frame after the last one; by default the end of the recording.
+        threads : int
+            Threads over pixels.
+
+        Returns
+        -------
+        tuple of (array of uint16 or uint32, shape (row, col, code), IngestReport)
+            Counts of each pixel, and packets that were intact, damaged or missing.
+
+        Raises
+        ------
+        RecordingError
+            If there are no such frames, or the files can't be read.
+        """
         tables, report = self._count(start, stop, by_step=False, threads=threads)
         return tables[0], report
 
     def accumulate_by_step(
         self, start: int = 0, stop: int | None = None, *, threads: int = 1
     ) -> tuple[dict[int, Counts], IngestReport]:
-        """Counts of a slice of frames by step of the illuminator, and a report."""
+        """Return the histograms of a slice of frames by step, and the totals of its stream.
+
+        Parameters
+        ----------
+        start : int
+            First frame.
+        stop : int, optional
+            Frame after the last one; by default the end of the recording.
+        threads : int
+            Threads over pixels.
+
+        Returns
+        -------
+        tuple of (dict of int to array, shape (row, col, code), IngestReport)
+            Counts by step of the illuminator, and packets that were intact, damaged or missing.
+
+        Raises
+        ------
+        RecordingError
+            If there are no such frames, or the files can't be read.
+        """
         return self._count(start, stop, by_step=True, threads=threads)
 
     def packets(self, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """The frame packets from `start` up to `stop`, each exactly as received."""
+        """Iterate over the frame packets of a slice.
+
+        Parameters
+        ----------
+        start : int
+            First frame.
+        stop : int, optional
+            Frame after the last one; by default the end of the recording.
+
+        Yields
+        ------
+        bytes
+            A packet exactly as received.
+
+        Raises
+        ------
+        RecordingError
+            If there are no such frames, or the files can't be read.
+        """
         for buffer in self._frames(*self._checked(start, stop)):
             places = buffer.scanner.places[: buffer.scanner.frames].tolist()
             yield from (bytes(buffer.data[offset : offset + size]) for offset, size in places)
 
     def raw(self) -> Iterator[bytes]:
-        """Everything that was received, in pieces: all packets, and what was between them."""
+        """Iterate over everything that was received: all packets, and the bytes between them.
+
+        Yields
+        ------
+        bytes
+            The next piece of the stream.
+        """
         for entry, file in zip(self._index, self._file, strict=True):
             yield self._segments[file].read(int(entry["offset"]), int(entry["size"]))
 
     def frame_at(self, seconds: float, /) -> int:
-        """The first frame that began `seconds` after the first one, by the device clock.
+        """Return the first frame that began at a given time.
+
+        Parameters
+        ----------
+        seconds : float
+            Time since the start of the first frame, by the device clock.
+
+        Returns
+        -------
+        int
+            Number of the frame.
 
         Raises
         ------
@@ -168,11 +288,33 @@ class Recording:
         return first + int(np.searchsorted(inside, due))
 
     def attachment(self, name: str, /) -> bytes:
-        """Content of an attachment, such as a calibration."""
+        """Return the content of an attachment, such as a calibration.
+
+        Parameters
+        ----------
+        name : str
+            Name of the attachment.
+
+        Returns
+        -------
+        bytes
+            Its content.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such attachment, or it is damaged.
+        """
         return self._segments[0].attachment(name)
 
     def info(self) -> RecordingInfo:
-        """What there is to say without counting photons."""
+        """Return the facts that are known without counting photons.
+
+        Returns
+        -------
+        RecordingInfo
+            Facts about the recording.
+        """
         first, last = self._segments[0], self._segments[-1]
         return RecordingInfo(
             path=str(self.path),
@@ -324,13 +466,21 @@ def open_recording(path: str | Path, /, *, kernels: Kernels | None = None) -> Re
 
     Parameters
     ----------
-    path : path of its first file, ``name.mcap``
-        A later segment's path opens that segment alone.
+    path : str or Path
+        Path of the first file, such as ``run.mcap``. The path of a later segment opens that segment
+        alone.
+    kernels : Kernels, optional
+        Kernels that count photons; by default the fastest available.
+
+    Returns
+    -------
+    Recording
+        The open recording, which is also a context manager.
 
     Raises
     ------
     RecordingError
-        If there is no such file, it is no recording, it was not finished, or a segment between
+        If there is no such file, it is not a recording, it was not finished, or a segment between
         others is missing.
     """
     path = Path(path)
@@ -338,9 +488,9 @@ def open_recording(path: str | Path, /, *, kernels: Kernels | None = None) -> Re
     if path not in finished:
         if part_path(path) in unfinished:
             raise RecordingError(
-                f"{path} was not finished: get what is there with: hueflight recover {path}"
+                f"{path} was not finished: save its intact packets with: hueflight recover {path}"
             )
-        raise RecordingNotFoundError(f"no recording {str(path)!r}: there is no such file")
+        raise RecordingNotFoundError(f"there is no recording {str(path)!r}")
     segments: list[SegmentReader] = []
     try:
         for number, file in enumerate(finished):
@@ -348,7 +498,7 @@ def open_recording(path: str | Path, /, *, kernels: Kernels | None = None) -> Re
             here, first = segments[-1].description, segments[0].description
             if here.recording != first.recording:
                 raise RecordingError(
-                    f"{file} belongs to another recording than {path}: move it elsewhere"
+                    f"{file} does not belong to the recording {path}: move it to another folder"
                 )
             if here.segment != first.segment + number:
                 raise RecordingError(

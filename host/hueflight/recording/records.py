@@ -1,8 +1,8 @@
 """MCAP records, written and read with every size checked.
 
-A recording is plain MCAP: https://mcap.dev/spec. The `mcap` library knows the records; only the
-chunk, which carries the stream, is laid out here, so that packets go from the buffer to the
-file without a copy.
+A recording is plain MCAP: https://mcap.dev/spec. The `mcap` library encodes all records except the
+chunk, which carries the stream and is laid out here, so that packets go from the buffer to the file
+without a copy.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _Record = TypeVar("_Record", bound=McapRecord)
 
 
 def encode(*records: McapRecord) -> bytes:
-    """Records as bytes."""
+    """Return records as bytes."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -58,7 +58,7 @@ def encode(*records: McapRecord) -> bytes:
 def encode_chunk(
     payload: memoryview, *, sequence: int, log_time: int, publish_time: int
 ) -> tuple[bytes, bytes]:
-    """What goes before and after a chunk's packets; they are one message, not compressed."""
+    """Return the bytes before and after a chunk's packets, which are one uncompressed message."""
     message = RECORD_HEAD.pack(Opcode.MESSAGE, _MESSAGE_HEAD.size + len(payload))
     message += _MESSAGE_HEAD.pack(CHANNEL_ID, sequence & 0xFFFF_FFFF, log_time, publish_time)
     size = len(message) + len(payload)
@@ -70,7 +70,17 @@ def encode_chunk(
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A chunk whose CRC was right."""
+    """A chunk with a correct CRC.
+
+    Attributes
+    ----------
+    log_time : int
+        Host clock, nanoseconds since 1970.
+    publish_time : int
+        Device clock, in nanoseconds.
+    payload : memoryview
+        The packets.
+    """
 
     log_time: int
     publish_time: int
@@ -78,7 +88,7 @@ class Chunk:
 
 
 def decode_chunk(record: memoryview, /) -> Chunk | None:
-    """The chunk in a record, or None if it is not one of ours or its CRC is wrong."""
+    """Return the chunk in a record, or None if it has another layout or its CRC is wrong."""
     if len(record) < PAYLOAD_OFFSET:
         return None
     opcode, length = RECORD_HEAD.unpack_from(record)
@@ -96,12 +106,12 @@ def decode_chunk(record: memoryview, /) -> Chunk | None:
 
 
 def decode(kind: type[_Record], content: bytes, /) -> _Record:
-    """The record of a `kind` from its content.
+    """Return the record of a `kind` from its content.
 
     Raises
     ------
     RecordingError
-        If the content is none.
+        If the content is not such a record.
     """
     try:
         stream = ReadDataStream(BytesIO(content))
@@ -117,7 +127,7 @@ def decode(kind: type[_Record], content: bytes, /) -> _Record:
 
 
 def decode_attachment(record: bytes, /) -> Attachment:
-    """The attachment in a whole record, its CRC checked.
+    """Return the attachment in a whole record, after checking its CRC.
 
     Raises
     ------
@@ -136,7 +146,7 @@ def decode_attachment(record: bytes, /) -> Attachment:
 def walk(
     read: Callable[[int, int], bytes], start: int, stop: int, /
 ) -> Iterator[tuple[int, int, int]]:
-    """Opcode, place and size of whole records between two places of a file."""
+    """Yield opcode, place and size of the whole records between two places of a file."""
     while stop - start >= RECORD_HEAD.size:
         opcode, length = RECORD_HEAD.unpack(read(start, RECORD_HEAD.size))
         size = RECORD_HEAD.size + length
@@ -154,7 +164,7 @@ def encode_summary(
     attachments: list[AttachmentIndex],
     metadata: list[MetadataIndex],
 ) -> bytes:
-    """The end of a file whose summary begins at byte `start`: summary, footer, magic."""
+    """Return the end of a file whose summary begins at byte `start`: summary, footer, magic."""
     groups: list[tuple[Opcode, bytes]] = [
         (Opcode.CHANNEL, encode(channel)),
         (Opcode.STATISTICS, encode(statistics)),
@@ -173,12 +183,12 @@ def encode_summary(
 
 
 def read_summary(read: Callable[[int, int], bytes], size: int, /) -> list[AttachmentIndex]:
-    """Where the attachments of a finished file of `size` bytes are.
+    """Return the places of the attachments in a finished file of `size` bytes.
 
     Raises
     ------
     RecordingError
-        If the file is no MCAP, did not get its end, or the end is damaged.
+        If the file is not an MCAP file, has no end, or its end is damaged.
     """
     if read(0, min(size, len(MAGIC))) != MAGIC:
         raise RecordingError("it is not an MCAP file")

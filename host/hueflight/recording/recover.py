@@ -1,4 +1,4 @@
-"""Getting out of damaged or unfinished recordings whatever is intact in them."""
+"""Recovery of all intact packets from damaged or unfinished recordings."""
 
 from __future__ import annotations
 
@@ -54,7 +54,17 @@ _SMALL = {
 
 
 class Outcome(IntEnum):
-    """How a recovery went; the numbers are exit codes of ``hueflight recover``."""
+    """Outcome of a recovery; the numbers are exit codes of ``hueflight recover``.
+
+    Attributes
+    ----------
+    WHOLE : int
+        Nothing was lost.
+    NOTHING : int
+        There was no intact packet.
+    LOSSY : int
+        Some packets were lost.
+    """
 
     WHOLE = 0
     NOTHING = 1
@@ -63,20 +73,28 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """What was recovered.
+    """Result of a recovery.
 
-    Attributes
+    Parameters
     ----------
-    outcome : WHOLE if every byte of every file was in its place and no file is missing, be the
-        last one finished or not; LOSSY otherwise; NOTHING if there was no intact packet.
-    path : the new recording, or None if there was nothing.
-    files : files that were read.
-    frames : frames in the new recording.
-    damaged_bytes : bytes that belong to no intact record. Packets in them that are intact
-        themselves are kept.
-    missing_segments : files between others, or behind them, that are not there.
-    unfinished : files whose writing did not come to its end.
-    cut : files that were finished, and whose end is missing.
+    outcome : Outcome
+        WHOLE if every byte of every file was in its place and no file is missing, whether or not
+        the last one was finished; NOTHING if there was no intact packet; LOSSY otherwise.
+    path : Path or None
+        The new recording; None if there was nothing to save.
+    files : tuple of str
+        Files that were read.
+    frames : int
+        Frames in the new recording.
+    damaged_bytes : int
+        Bytes that belong to no intact record. Packets among them that are intact themselves are
+        kept.
+    missing_segments : int
+        Segments between others, or after the last one, that do not exist.
+    unfinished : int
+        Files that were not finished.
+    cut : int
+        Files that were finished and have lost their end.
     """
 
     outcome: Outcome
@@ -89,7 +107,13 @@ class Recovery:
     cut: int
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, for JSON."""
+        """Return the result as a dictionary, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Results by name.
+        """
         path = None if self.path is None else str(self.path)
         return asdict(self) | {"outcome": self.outcome.name.lower(), "path": path}
 
@@ -117,25 +141,34 @@ def recover(
     overwrite: bool = False,
     kernels: Kernels | None = None,
 ) -> Recovery:
-    """Write all that is left of a recording into a new one. The old files stay as they are.
+    """Write all intact packets of a recording into a new one, and leave the old files as they are.
 
-    Chunks whose CRC is right are copied; so are damaged stretches, since packets in them that
-    are intact themselves count, and no others do: each has a CRC of its own.
+    Chunks with a correct CRC are copied. Damaged stretches are copied too: each packet has a CRC of
+    its own, so that readers count the packets in them that are intact, and no others.
 
     Parameters
     ----------
-    path : path of the recording's first file, ``name.mcap``
-    out : path, by default ``name.recovered.mcap``
+    path : str or Path
+        Path of the recording's first file, such as ``run.mcap``.
+    out : str or Path, optional
+        Path of the new recording, by default ``run.recovered.mcap``.
     instrument : Instrument, optional
-        Used where no file says any more which one it was.
+        Instrument that is used if no file states it any more.
     overwrite : bool
         Replace a recording at `out`.
+    kernels : Kernels, optional
+        Kernels that scan packets; by default the fastest available.
+
+    Returns
+    -------
+    Recovery
+        Outcome, and counts of what was saved and lost.
 
     Raises
     ------
     RecordingError
-        If there are no files, they are of several recordings, none says which instrument it
-        was, or the new recording can't be written.
+        If there are no files, they belong to several recordings, none states the instrument, or the
+        new recording can't be written.
     """
     path = Path(path)
     out = path.with_suffix(f".recovered{path.suffix}") if out is None else Path(out)
@@ -145,12 +178,14 @@ def recover(
     if described is None:
         if any(_has_packets(each) for each in found):
             raise RecordingError(
-                f"{path}: no file says any more which instrument it was: name the instrument"
+                f"{path}: none of its files states the instrument any more: name the instrument"
             )
         return _recovery(Outcome.NOTHING, files, found)
     known = [each.description for each in found if each.description is not None]
     if len({each.recording for each in known}) > 1:
-        raise RecordingError(f"{path}: its files are of several recordings: move some elsewhere")
+        raise RecordingError(
+            f"{path}: its files belong to several recordings: move some to another folder"
+        )
     attachments: dict[str, bytes] = {}
     for each in reversed(found):
         attachments |= each.attachments
@@ -206,9 +241,7 @@ def _files(path: Path) -> dict[int, Path]:
         for file in (*unfinished, *finished)
     }
     if not files:
-        raise RecordingNotFoundError(
-            f"no recording {str(path)!r}: there is no such file, nor a part of it"
-        )
+        raise RecordingNotFoundError(f"there is no recording {str(path)!r}, not even an unfinished one")
     return dict(sorted(files.items()))
 
 

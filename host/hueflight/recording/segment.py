@@ -1,4 +1,4 @@
-"""One file of a recording: appended to record by record, finished with an index, then renamed."""
+"""One file of a recording: appended record by record, finished with an index, then renamed."""
 
 from __future__ import annotations
 
@@ -46,24 +46,29 @@ JSON = "application/json"
 
 
 class Segment:
-    """Writes one file. Any `OSError` leaves the file with the whole records it had before.
+    """Writes one file; after any `OSError` the file still has the whole records it had before.
 
     Parameters
     ----------
     path : Path
-        Final name; until `finish` it has ``.part`` behind it.
+        Final path; until `finish` the name ends in ``.part``.
     description : Description
-        Identity of recording and segment, metadata.
+        Identity of recording and segment, and metadata.
     instrument_json : str
-        The instrument.
+        Instrument as JSON.
     attachments : dict of bytes
-        Further attachments, by name.
+        Further attachments by name.
+    first : int
+        Frames of the recording before this segment.
 
     Attributes
     ----------
-    size : bytes of whole records written.
-    settled : bytes of those that outlive a power cut.
-    first, frames : frames of the recording before the segment, and in it.
+    size : int
+        Bytes of whole records written.
+    settled : int
+        Bytes of whole records that survive a power cut.
+    frames : int
+        Frames in this segment.
     """
 
     def __init__(
@@ -110,7 +115,7 @@ class Segment:
         sequence: int,
         has_sequence: int,
     ) -> None:
-        """Append packets. When this returns they are the operating system's to keep."""
+        """Append packets; when this returns, they survive the end of this program."""
         publish_time = tick * 1_000_000_000 // clock_hz if clock_hz else 0
         ordinal = self.first + self.frames
         head, tail = encode_chunk(
@@ -140,10 +145,10 @@ class Segment:
         self.frames += frames
 
     def settle(self) -> None:
-        """Wait until the disk has what was written, and have the system forget its copy.
+        """Wait until the disk has all that was written, and drop it from the page cache.
 
-        A long recording would push everything else out of the system's cache. Memory that is used
-        again while it is warm also takes less time to fill than memory that was never used.
+        A long recording would push everything else out of the page cache. Reused memory also takes
+        less time to fill than memory that was never used.
         """
         begin, end = self.settled, self.size
         try:
@@ -156,9 +161,9 @@ class Segment:
         self.settled = end
 
     def finish(self, *, last: bool, report: dict[str, int]) -> None:
-        """Write index and summary, make sure of the disk, and give the file its name."""
+        """Write index and summary, wait for the disk, and give the file its final name."""
         try:
-            if self._unkept is not None:  # the system tells once that it lost bytes
+            if self._unkept is not None:  # the system reports lost bytes only once
                 raise self._unkept
             self._finish(last=last, report=report)
         finally:
@@ -189,7 +194,7 @@ class Segment:
         _sync_folder(self.path.parent)
 
     def abandon(self) -> None:
-        """Close the file as it is, with its whole records."""
+        """Close the file as it is, with the whole records written so far."""
         if self._fd >= 0:
             with suppress(OSError):
                 os.close(self._fd)
@@ -226,7 +231,7 @@ class Segment:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a new name in a folder outlive a power cut."""
+    """Make a new name in a folder survive a power cut."""
     fd = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(fd)

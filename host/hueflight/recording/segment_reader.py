@@ -1,4 +1,4 @@
-"""One finished file of a recording: its description, its index, and bytes on demand."""
+"""One finished file of a recording: description, index, and bytes on demand."""
 
 from __future__ import annotations
 
@@ -29,18 +29,26 @@ _Document = TypeVar("_Document")
 class SegmentReader:
     """Reads a finished segment.
 
-    Attributes
+    Parameters
     ----------
     path : Path
-    size : bytes of the file.
+        Path of the file.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of the file.
     description : Description
+        Identity of recording and segment, and metadata.
     closing : Closing
-    index : structured array (chunk,) of `layout.FRAME_INDEX`.
+        Totals of the segment.
+    index : structured array, shape (chunk,)
+        Entries of type `hueflight.recording.layout.FRAME_INDEX`.
 
     Raises
     ------
     RecordingError
-        If the file can't be read, is no recording of ours, or was not finished.
+        If the file can't be read, is not a recording of Hueflight, or was not finished.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,19 +76,31 @@ class SegmentReader:
             self._fd = -1
 
     def read(self, offset: int, size: int) -> bytes:
-        """Bytes of the file.
+        """Return bytes of the file.
+
+        Parameters
+        ----------
+        offset : int
+            Place of the first byte.
+        size : int
+            Number of bytes.
+
+        Returns
+        -------
+        bytes
+            The bytes.
 
         Raises
         ------
         RecordingError
-            If they are not there or can't be read.
+            If the file ends before them, or they can't be read.
         """
         data = bytearray(size)
         self.read_into(memoryview(data), offset)
         return bytes(data)
 
     def read_into(self, space: memoryview, offset: int) -> None:
-        """Fill `space` with bytes of the file; raises as `read` does."""
+        """Fill `space` with the bytes at `offset`; raises the errors of `read`."""
         done = 0
         while done < len(space):
             try:
@@ -96,12 +116,22 @@ class SegmentReader:
             done += got
 
     def attachment(self, name: str, /) -> bytes:
-        """Content of an attachment.
+        """Return the content of an attachment.
+
+        Parameters
+        ----------
+        name : str
+            Name of the attachment.
+
+        Returns
+        -------
+        bytes
+            Its content.
 
         Raises
         ------
         RecordingError
-            If there is none of this name, or it is damaged.
+            If there is no attachment of this name, or it is damaged.
         """
         if name not in self._attached:
             raise RecordingError(
@@ -124,7 +154,7 @@ class SegmentReader:
 
     def _document(self, name: str, kind: type[_Document]) -> _Document:
         if name not in self._attached:
-            raise RecordingError("it is an MCAP file, but no recording of Hueflight")
+            raise RecordingError("it is an MCAP file, but not a recording of Hueflight")
         try:
             return msgspec.json.decode(self.attachment(name), type=kind)
         except msgspec.DecodeError as error:

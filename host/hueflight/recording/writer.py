@@ -1,4 +1,4 @@
-"""Writing recordings: raw packets as received, safe against crashes, full disks and slow ones."""
+"""Writing recordings: raw packets as received, safe against crashes and full or slow disks."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from hueflight.model.instrument import Instrument
 from hueflight.recording.layout import (
     FORMAT,
     OWN_NAMES,
+    PART,
     SUFFIX,
     Description,
     segment_files,
@@ -39,43 +40,54 @@ _SEQUENCE, _HAS_SEQUENCE = STATE.index("sequence"), STATE.index("has_sequence")
 class RecordingWriter:
     """Writes the camera's stream into a recording.
 
-    Packets are kept exactly as received, damaged ones and bytes between them too. What `write`
-    and `flush` have put into a file outlives a crash of the program. A power cut takes what the
-    disk has not got yet: with a disk that keeps pace that is about the last 32 MiB, and never a
-    finished segment.
+    Packets are stored exactly as received, including damaged ones and bytes between packets. Data
+    that `write` and `flush` have put into a file survives a crash of the program. A power cut
+    destroys what has not reached the disk: about the last 32 MiB on a disk that keeps up, and never
+    a finished segment.
 
     Parameters
     ----------
-    path : path ending in ``.mcap``
-        First file; further segments are called ``name.000001.mcap`` and so on. A file has
-        ``.part`` behind its name until it is finished.
+    path : str or Path
+        Path of the first file, which ends in ``.mcap``; further segments are called
+        ``name.000001.mcap`` and so on. The name of a file ends in ``.part`` until it is finished.
     instrument : Instrument
-        Goes into each segment, and says what frames look like.
+        Instrument, which states the layout of frames and is stored in each segment.
     metadata : mapping, optional
-        About the capture; values are stored as text.
+        Notes about the capture; values are stored as text.
     attachments : mapping of bytes, optional
-        Files to keep with the packets, such as a calibration, by name.
-    segment_bytes, segment_seconds : optional
-        When to finish a segment and start the next. Finishing waits for the disk, in the
-        background.
-    chunk_bytes, flush_seconds : optional
-        Packets are put into the file when there are so many bytes of them, or when they have
-        waited so long.
-    settle_bytes : optional
-        How much is written between waits for the disk, which happen in the background.
+        Files to keep with the packets by name, such as a calibration.
+    segment_bytes : int
+        Size at which a segment is finished, in the background, and the next one begins.
+    segment_seconds : float, optional
+        Age at which a segment is finished; by default there is no limit.
+    chunk_bytes : int
+        Packets are put into the file when there are this many bytes of them.
+    flush_seconds : float
+        Packets are put into the file when they have waited this long.
+    settle_bytes : int
+        Bytes that are written between waits for the disk, which happen in the background.
     overwrite : bool
         Replace a recording of the same name.
+    kernels : Kernels, optional
+        Kernels that scan packets; by default the fastest available.
 
     Attributes
     ----------
-    frames, size : frames and bytes of packets that are safe in a file.
-    lost_frames, lost_bytes : what came after writing failed.
-    error : why it failed, or None.
+    frames : int
+        Frames that are safe in a file.
+    size : int
+        Bytes of packets that are safe in a file.
+    lost_frames : int
+        Frames that arrived after writing had failed.
+    lost_bytes : int
+        Bytes of packets that arrived after writing had failed.
+    error : RecordingError or None
+        Reason why writing failed.
 
     Raises
     ------
     RecordingError
-        If the file can't be made, exists, or is left from a recording that did not end.
+        If the file can't be made, it exists, or it is left from a recording that did not end.
     """
 
     def __init__(
@@ -99,7 +111,7 @@ class RecordingWriter:
             raise RecordingError(f"{self.path}: the name of a recording must end in {SUFFIX}")
         own = [name for name in attachments or {} if name in OWN_NAMES]
         if own:
-            raise RecordingError(f"attachment {own[0]!r}: this name is taken, use another")
+            raise RecordingError(f"attachment {own[0]!r}: the name is reserved, choose another one")
         if min(segment_bytes, chunk_bytes, settle_bytes) < 1:
             raise RecordingError("segment_bytes, chunk_bytes and settle_bytes must be at least 1")
         self.frames = self.size = 0
@@ -134,22 +146,27 @@ class RecordingWriter:
         except OSError as error:
             raise RecordingError(f"can't start {self.path}: {error.strerror or error}") from error
 
-    # -- what the user calls -----------------------------------------------------------------------
+    # -- public interface --------------------------------------------------------------------------
 
     @property
     def report(self) -> IngestReport:
-        """What the stream has brought, stored or not."""
+        """Totals of the stream, stored or not."""
         state = self._buffer.scanner.state
         return IngestReport.from_state(state, photons=int(state[STATE.index("hits")]))
 
     def write(self, packets: bytes | bytearray | memoryview, /) -> None:
-        """Take the next bytes of the stream, in pieces of any size.
+        """Take the next bytes of the stream.
+
+        Parameters
+        ----------
+        packets : bytes-like
+            A piece of any size, cut anywhere.
 
         Raises
         ------
         RecordingError
-            Once, when writing fails: what is in the file stays, what comes later is counted as
-            lost until `resume`. Also if the recording is closed.
+            Once, when writing fails: data in the file is kept, and later data counts as lost until
+            `resume`. Also if the recording is closed.
         """
         if self._closed:
             raise RecordingError(f"{self.path}: the recording is closed")
@@ -167,25 +184,27 @@ class RecordingWriter:
         Raises
         ------
         RecordingError
-            As `write`.
+            As for `write`.
         """
         self._store()
         self._tell()
 
     def resume(self) -> None:
-        """Go on in a new segment after a failure, when there is room again.
+        """Continue in a new segment after a failure, when the disk has space again.
 
         Raises
         ------
         RecordingError
-            If there is not.
+            If the new segment can't be made.
         """
         if self.error is None or self._closed:
             return
         try:
             self._segment = self._start_segment()
         except OSError as error:
-            raise RecordingError(f"can't go on: {error.strerror or error}") from error
+            raise RecordingError(
+                f"can't continue {self.path}: {error.strerror or error}"
+            ) from error
         self.error = None
 
     def close(self) -> None:
@@ -194,7 +213,7 @@ class RecordingWriter:
         Raises
         ------
         RecordingError
-            If that fails; what is in files can be had with `recover`.
+            If that fails; packets in the files can be saved with `recover`.
         """
         if self._closed:
             return
@@ -266,7 +285,7 @@ class RecordingWriter:
         )
 
     def _settle(self, segment: Segment) -> None:
-        """Begin to hand what was written to the disk, unless it is still busy with the last."""
+        """Start to flush written data to the disk, unless an earlier flush is in progress."""
         if self._settling is not None:
             if not self._settling.done():
                 return
@@ -276,7 +295,7 @@ class RecordingWriter:
             self._settling = self._disk.submit(segment.settle)
 
     def _tell(self) -> None:
-        """Raise a failure that nobody has been told of."""
+        """Raise a failure that has not been reported yet."""
         if self.error is not None and not self._told:
             self._told = True
             raise self.error
@@ -325,7 +344,7 @@ class RecordingWriter:
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
-        """Close the segment as well as it goes, and keep in mind what happened."""
+        """Close the segment as well as possible, and note the failure."""
         kept = f"{self.frames} frames before it are kept"
         segment, self._segment = self._segment, None
         if self._settling is not None:
@@ -335,14 +354,14 @@ class RecordingWriter:
             if segment is not None:
                 segment.finish(last=True, report=self.report.as_dict())
         except OSError:
-            kept += ", those at the end in a .part file: get them with recover"
+            kept += f", the last of them in a {PART} file: save them with recover"
         self.error = RecordingError(
             f"writing {self.path} failed: {error.strerror or error}; {kept}"
         )
         self._told = False
 
     def _refuse_leftovers(self, overwrite: bool) -> None:
-        """Make room for the files of this recording, or say that there are others."""
+        """Remove files of an earlier recording of this name, or refuse to."""
         finished, unfinished = segment_files(self.path)
         if unfinished and not overwrite:
             raise RecordingError(

@@ -231,14 +231,16 @@ def test_waiting_packets_are_flushed_after_a_while(
 
 
 def test_no_such_recording(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"no recording '.*gone.mcap': there is no such file"):
+    with pytest.raises(RecordingError, match=r"there is no recording '.*gone.mcap'"):
         open_recording(tmp_path / "gone.mcap")
 
 
 def test_a_recording_that_did_not_end(tmp_path: Path, small: Make, frames: Make) -> None:
     writer = RecordingWriter(tmp_path / "run.mcap", small())
     writer.write(frames(1)[0])
-    with pytest.raises(RecordingError, match="was not finished: get what is there with: hueflight"):
+    with pytest.raises(
+        RecordingError, match="was not finished: save its intact packets"
+    ):
         open_recording(tmp_path / "run.mcap")
     with pytest.raises(RecordingError, match="left from a recording that did not end"):
         RecordingWriter(tmp_path / "run.mcap", small())
@@ -260,7 +262,7 @@ def test_foreign_files(tmp_path: Path) -> None:
         channel = writer.register_channel("/x", "json", 0)
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(RecordingError, match="an MCAP file, but no recording of Hueflight"):
+    with pytest.raises(RecordingError, match="an MCAP file, but not a recording of Hueflight"):
         open_recording(foreign)
     (tmp_path / "folder.mcap").mkdir()
     with pytest.raises(RecordingError, match=r"can't read .*folder.mcap"):
@@ -282,7 +284,7 @@ def test_segments_that_do_not_belong(recorded: Make) -> None:
         open_recording(path)
     other, _ = recorded(name="other.mcap")
     third.write_bytes(other.read_bytes())
-    with pytest.raises(RecordingError, match="belongs to another recording"):
+    with pytest.raises(RecordingError, match="does not belong to the recording"):
         open_recording(path)
 
 
@@ -297,7 +299,7 @@ def test_frames_that_are_not_there(recorded: Make) -> None:
 def test_names_that_can_not_be(tmp_path: Path, small: Make, recorded: Make) -> None:
     with pytest.raises(RecordingError, match=r"must end in .mcap"):
         RecordingWriter(tmp_path / "run.bin", small())
-    with pytest.raises(RecordingError, match="this name is taken"):
+    with pytest.raises(RecordingError, match="the name is reserved"):
         RecordingWriter(tmp_path / "x.mcap", small(), attachments={"instrument.json": b""})
     path, _ = recorded()
     with pytest.raises(RecordingError, match="exists: choose another name, or overwrite it"):

@@ -92,7 +92,7 @@ export class Cloud {
   }
 }
 
-/** Perspective, column by column: turned about the middle of the scene, seen from where we are. */
+/** Matrix of the perspective, column by column; the scene is turned about its middle. */
 function look({ turn, tilt, away }, middle, height, aspect) {
   const [st, ct, sp, cp] = [Math.sin(turn), Math.cos(turn), Math.sin(tilt), Math.cos(tilt)];
   const rows = [

@@ -1,26 +1,12 @@
-// Colours: the map for depth, what a wavelength looks like, which bands stand for red, green, blue.
+// Colours: the map for depth, the look of a wavelength, and the bands shown as red, green and blue.
 
-// Thirty-three of the 256 colours of viridis (S. van der Walt and N. Smith, 2015, public domain),
-// the same as in exported previews.
-const NODES =
-  "440154470d6048186a482374472d7b4537814240863e49893b528b375b8d33638d" +
-  "2f6b8e2c728e297a8e26828e23898e21918c1f988b1fa08822a78528ae8032b67a" +
-  "3fbc734ec36b5ec96270cf5784d44b98d83eaddc30c2df23d8e219ece51bfde725";
+import { COLORMAP } from "./colormap.js"; // made by the daemon from its own colour map
 
-/** The map as 256 RGBA colours. */
+/** The colour map as 256 RGBA colours. */
 export function colourMap() {
-  const nodes = NODES.match(/../g).map((pair) => parseInt(pair, 16));
-  const last = nodes.length / 3 - 1;
-  const out = new Uint8Array(256 * 4);
-  for (let i = 0; i < 256; i++) {
-    const place = (i / 255) * last;
-    const low = Math.min(Math.floor(place), last - 1);
-    const share = place - low;
-    for (let c = 0; c < 3; c++) {
-      out[4 * i + c] = Math.round(nodes[3 * low + c] * (1 - share) + nodes[3 * low + 3 + c] * share);
-    }
-    out[4 * i + 3] = 255;
-  }
+  const bytes = COLORMAP.match(/../g).map((digits) => parseInt(digits, 16));
+  const out = new Uint8Array(256 * 4).fill(255);
+  for (let i = 0; i < 256; i++) out.set(bytes.slice(3 * i, 3 * i + 3), 4 * i);
   return out;
 }
 
@@ -31,7 +17,7 @@ const TABLES = [
   [0.7, 0.8, 0.88, 0.9, 0.7, 0.2, 0.05, 0.05, 0.1, 0.12, 0.1],
 ];
 
-/** A colour, [r, g, b] in 0..1, that reminds of a wavelength; grey outside the visible. */
+/** A colour, [r, g, b] in 0..1, that resembles a wavelength; grey outside the visible range. */
 export function wavelengthColour(nm) {
   if (nm < 380 || nm > 720) return [0.45, 0.45, 0.45];
   const at = Math.max(0, Math.min(ANCHORS.length - 2, ANCHORS.findLastIndex((a) => a <= nm)));

@@ -1,6 +1,6 @@
-// What acquisition says of itself, in words and numbers.
+// The status of acquisition in words and numbers.
 
-const $ = (id) => document.getElementById(id);
+import { $ } from "./dom.js";
 
 export function big(value, unit = "") {
   if (value === undefined || value === null) return "–";
@@ -19,7 +19,7 @@ function set(id, text, kind = "") {
 
 export function showFacts(status) {
   const { rates, totals, lost, latency_s, recording, picture, calibration, link } = status;
-  set("f-frames", `${big(rates.frames)}/s · ${big(totals.delivered)} in all`);
+  set("f-frames", `${big(rates.frames)}/s · ${big(totals.delivered)} in total`);
   set("f-photons", `${big(rates.photons)}/s`);
   set("f-bytes", `${big(rates.bytes, "B")}/s`);
   set("f-pictures", `${(rates.pictures ?? 0).toFixed(1)}/s${picture.skipped ? `, ${big(picture.skipped)} skipped` : ""}`);
@@ -27,7 +27,7 @@ export function showFacts(status) {
   const places = Object.entries(lost);
   const all = places.reduce((sum, [, n]) => sum + n, 0);
   set("f-lost", places.map(([place, n]) => `${place} ${n.toLocaleString("en")}`).join(" · "), all ? "bad" : "good");
-  set("f-calibration", calibration.message || (calibration.calibrated ? "in use" : "none: only photons are shown"),
+  set("f-calibration", calibration.message || (calibration.calibrated ? "in use" : "none: photons only"),
     calibration.step === "failed" ? "bad" : "");
   const waiting = recording.queue_bytes || link.queue_bytes;
   const disk = recording.name

@@ -83,7 +83,7 @@ export class Textures {
   }
 }
 
-/** Give a canvas as many pixels as it has on the screen; say whether that changed. */
+/** Give a canvas as many pixels as it covers on the screen; returns whether that changed. */
 export function fit(canvas) {
   const scale = window.devicePixelRatio || 1;
   const width = Math.max(1, Math.round(canvas.clientWidth * scale));

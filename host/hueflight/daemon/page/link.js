@@ -1,8 +1,8 @@
-// The way to the daemon: requests, and the web socket that comes back by itself.
+// The connection to the daemon: requests, and a web socket that reconnects by itself.
 
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
 
-/** The token: from the address once (#token=…, which no server sees), then from this tab. */
+/** The token: from the address (#token=…, which is not sent to servers), later from this tab. */
 function token() {
   const found = new URLSearchParams(location.hash.slice(1)).get("token");
   if (found) {
@@ -14,7 +14,7 @@ function token() {
 
 const secret = token();
 
-/** Ask the API; throws an Error in the daemon's words. */
+/** Send a request to the API; throws an Error with the daemon's message. */
 export async function ask(method, path, body) {
   const headers = {};
   if (secret) headers.authorization = `Bearer ${secret}`;

@@ -1,4 +1,4 @@
-// A picture's binary message: header size, JSON header, planes (see daemon/wire.py).
+// Decodes a picture's binary message; its layout is in daemon/http/picture_message.py.
 
 const TYPES = { uint8: Uint8Array, uint16: Uint16Array };
 

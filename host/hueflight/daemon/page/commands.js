@@ -1,0 +1,79 @@
+// Commands of the user: start, stop, record, calibrate, light or dark; and short messages.
+
+import { $ } from "./dom.js";
+import { ask } from "./link.js";
+import { showPixel } from "./pixel.js";
+import { state } from "./state.js";
+
+const MESSAGE_MS = 5000;
+const THEME_KEY = "hueflight-theme";
+let messageTimer = 0;
+
+/** Show a message for some seconds. */
+export function showMessage(text) {
+  const message = $("message");
+  message.textContent = text;
+  message.hidden = false;
+  clearTimeout(messageTimer);
+  messageTimer = setTimeout(() => { message.hidden = true; }, MESSAGE_MS);
+}
+
+async function send(path, body) {
+  try {
+    return await ask("POST", path, body);
+  } catch (error) {
+    showMessage(error.message);
+    return null;
+  }
+}
+
+/** Commands by the id of their button. */
+export const commands = {
+  run: () => send(state.status?.state === "idle" ? "/api/start" : "/api/stop"),
+  record: async () => {
+    const recording = state.status?.recording.name;
+    const answer = await (recording ? send("/api/recordings/stop") : send("/api/recordings", {}));
+    if (answer) showMessage(recording ? `Ending recording ${answer.name}.` : `Recording ${answer.name}.`);
+  },
+  calibrate: () => $("calibrate-dialog").showModal(),
+  theme: () => {
+    const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+    chooseTheme(theme);
+    localStorage.setItem(THEME_KEY, theme);
+  },
+};
+
+/** Begin the calibration that the dialog describes. */
+export async function beginCalibration() {
+  const answer = await send("/api/calibration", {
+    distance: Number($("distance").value),
+    frames: Number($("frames").value),
+    bands: $("with-bands").checked,
+    dark: $("with-dark").checked,
+  });
+  if (answer) showMessage("Calibration started.");
+}
+
+/** Use the theme that the user chose earlier, or that of the system. */
+export function restoreTheme() {
+  const system = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+  chooseTheme(localStorage.getItem(THEME_KEY) ?? system);
+}
+
+function chooseTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  showPixel();
+}
+
+/** Label and enable the buttons as the status requires. */
+export function showButtons() {
+  const { status, connected } = state;
+  const running = status.state !== "idle";
+  $("run").lastElementChild.textContent = running ? "Stop" : "Start";
+  $("record").lastElementChild.textContent = status.recording.name ? "End recording" : "Record";
+  $("record").classList.toggle("on", Boolean(status.recording.name));
+  const busy = !["idle", "done", "failed"].includes(status.calibration.step);
+  $("calibrate").lastElementChild.textContent = busy ? "Calibrating" : "Calibrate";
+  for (const name of ["run", "record", "calibrate"]) $(name).disabled = !connected;
+  $("calibrate").disabled ||= busy;
+}

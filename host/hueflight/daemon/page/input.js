@@ -1,0 +1,123 @@
+// Input by keyboard, mouse and touch.
+
+import { beginCalibration, commands } from "./commands.js";
+import { $, tabs } from "./dom.js";
+import { choosePixel } from "./pixel.js";
+import { Plane } from "./plane.js";
+import { isCalibrated, redraw, state } from "./state.js";
+import { chooseView, resetCloud, turnCloud, zoomCloud } from "./views.js";
+
+const VIEW_KEYS = { 1: "depth", 2: "colour", 3: "bands", 4: "points", 5: "photons" };
+const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
+
+/** Listen to all input. */
+export function listenToInput() {
+  for (const tab of tabs()) {
+    tab.addEventListener("click", () => chooseView(tab.dataset.view));
+    tab.addEventListener("keydown", onTabKey);
+  }
+  for (const name of Object.keys(commands)) $(name).addEventListener("click", commands[name]);
+  $("calibrate-dialog").addEventListener("close", () => {
+    if ($("calibrate-dialog").returnValue === "go") beginCalibration();
+  });
+  $("calibrate-cancel").addEventListener("click", () => $("calibrate-dialog").close("cancel"));
+  $("three").addEventListener("change", redraw);
+  document.addEventListener("keydown", onKey);
+  listenToPointer($("view"));
+}
+
+function onKey(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey || $("calibrate-dialog").open) return;
+  const typing = event.target.matches("input, select, textarea");
+  if (typing) return;
+  const onButton = event.target.matches("button, summary, a");
+  const { key } = event;
+  if (VIEW_KEYS[key]) chooseView(VIEW_KEYS[key]);
+  else if (key === " " && !onButton) commands.run();
+  else if (key === "r") commands.record();
+  else if (key === "c") commands.calibrate();
+  else if (key === "t") commands.theme();
+  else if (ARROWS[key] && !onButton && state.instrument) onArrow(ARROWS[key], event.shiftKey ? 8 : 1);
+  else if ("+-0".includes(key) && state.view === "points") onZoomKey(key);
+  else return;
+  event.preventDefault();
+}
+
+function onArrow([down, right], step) {
+  if (state.view === "points") {
+    turnCloud(0.08 * right * step, 0.08 * down * step);
+    return;
+  }
+  const { rows, cols } = state.instrument;
+  const [row, col] = state.pixel ?? [rows >> 1, cols >> 1];
+  choosePixel(row + down * step, col + right * step);
+}
+
+function onZoomKey(key) {
+  if (key === "0") resetCloud();
+  else zoomCloud(key === "+" ? 0.85 : 1 / 0.85);
+}
+
+function onTabKey(event) {
+  const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+  if (!step) return;
+  const all = tabs();
+  const next = all.at((all.indexOf(event.target) + step) % all.length);
+  next.focus();
+  chooseView(next.dataset.view);
+  event.preventDefault();
+  event.stopPropagation();
+}
+
+/** Row and column under the pointer; null between the tiles of the bands. */
+function pixelAt(event) {
+  const box = $("view").getBoundingClientRect();
+  let x = (event.clientX - box.left) / box.width;
+  let y = (event.clientY - box.top) / box.height;
+  const { rows, cols, bands } = state.instrument;
+  if (state.view === "bands" && isCalibrated()) {
+    const tile = Plane.tiles(bands.length).find(([tx, ty, w, h]) => x >= tx && x < tx + w && y >= ty && y < ty + h);
+    if (!tile) return null;
+    x = (x - tile[0]) / tile[2];
+    y = (y - tile[1]) / tile[3];
+  }
+  return [Math.floor(y * rows), Math.floor(x * cols)];
+}
+
+function choosePixelAt(event) {
+  if (state.view === "points" || !state.instrument) return;
+  const place = pixelAt(event);
+  if (place) choosePixel(...place);
+}
+
+function listenToPointer(view) {
+  const pointers = new Map(); // position of each finger or button that is down
+  view.addEventListener("pointerdown", (event) => {
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    view.setPointerCapture(event.pointerId);
+    choosePixelAt(event);
+  });
+  view.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const others = [...pointers].filter(([id]) => id !== event.pointerId);
+    if (state.view !== "points") {
+      choosePixelAt(event);
+    } else if (others.length) {
+      const [ox, oy] = others[0][1];
+      const old = Math.hypot(before[0] - ox, before[1] - oy);
+      zoomCloud(old / Math.max(1, Math.hypot(event.clientX - ox, event.clientY - oy)));
+    } else {
+      turnCloud((event.clientX - before[0]) / 150, (event.clientY - before[1]) / 150);
+    }
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+  });
+  for (const end of ["pointerup", "pointercancel"]) {
+    view.addEventListener(end, (event) => pointers.delete(event.pointerId));
+  }
+  view.addEventListener("wheel", (event) => {
+    if (state.view !== "points") return;
+    zoomCloud(Math.exp(event.deltaY / 500));
+    event.preventDefault();
+  }, { passive: false });
+}

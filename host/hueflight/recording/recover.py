@@ -241,7 +241,9 @@ def _files(path: Path) -> dict[int, Path]:
         for file in (*unfinished, *finished)
     }
     if not files:
-        raise RecordingNotFoundError(f"there is no recording {str(path)!r}, not even an unfinished one")
+        raise RecordingNotFoundError(
+            f"there is no recording {str(path)!r}, not even an unfinished one"
+        )
     return dict(sorted(files.items()))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +18,8 @@ def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
 ) -> None:
     wide = small(rows=24, cols=24)
     calibration = hf.calibrate(draw(wide, photons=20_000), wide, distance=0.5)
+    now_s = 1000.0  # stands still, so that no pixel's turn comes unasked
+    monkeypatch.setattr("hueflight.daemon.incremental_fitter.time.monotonic", lambda: now_s)
     fitter = IncrementalFitter(change_sigma=4.0, threads=1)
 
     def skipped(frames: int, seed: int) -> float:
@@ -31,8 +32,7 @@ def test_what_is_still_is_not_fitted_again_unless_the_kept_fits_know_less(
     # 11 contrasts beyond 4 sigma: 7e-4 a pixel; 5 of 576 by chance in 1 run of 10 000
     assert skipped(400, seed=3) > 0.99
     assert skipped(300, seed=4) > 0.99
-    later = time.monotonic() + REFRESH_S + 1
-    monkeypatch.setattr("hueflight.daemon.incremental_fitter.time.monotonic", lambda: later)
+    now_s += REFRESH_S + 1
     assert skipped(400, seed=5) == 0  # all had their turn meanwhile
     calibration = hf.calibrate(draw(wide, photons=20_000, seed=9), wide, distance=0.5)
     assert skipped(400, seed=6) == 0

@@ -238,9 +238,7 @@ def test_no_such_recording(tmp_path: Path) -> None:
 def test_a_recording_that_did_not_end(tmp_path: Path, small: Make, frames: Make) -> None:
     writer = RecordingWriter(tmp_path / "run.mcap", small())
     writer.write(frames(1)[0])
-    with pytest.raises(
-        RecordingError, match="was not finished: save its intact packets"
-    ):
+    with pytest.raises(RecordingError, match="was not finished: save its intact packets"):
         open_recording(tmp_path / "run.mcap")
     with pytest.raises(RecordingError, match="left from a recording that did not end"):
         RecordingWriter(tmp_path / "run.mcap", small())

@@ -151,7 +151,9 @@ def test_the_instrument_is_gone(recorded: Make, small: Make) -> None:
 
 
 def test_no_files_and_files_of_several_recordings(recorded: Make, tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match=r"there is no recording .* not even an unfinished one"):
+    with pytest.raises(
+        RecordingError, match=r"there is no recording .* not even an unfinished one"
+    ):
         recover(tmp_path / "none.mcap")
     path, _ = recorded(**FILES)
     other, _ = recorded(name="other.mcap")

@@ -1,1 +1,1 @@
-"""The joint maximum-likelihood fit: tables, reference implementation, compiled solver."""
+"""The joint maximum-likelihood fit: tables, NumPy definition and compiled solver."""

@@ -1,8 +1,9 @@
-"""Which pixels of a new histogram say no more than the last one that was fitted.
+"""Tell which pixels of a new histogram differ from the last one that was fitted.
 
-Contrasts between the two histograms, each in units of its own standard deviation: all counts, the
-counts where each band's pulse lies, and the counts weighed as a small change of delay would change
-them. Where none stands out, depth and reflectance have not changed as far as photons can tell.
+Counts of the two histograms are compared in units of the standard deviation of their difference:
+all counts, the counts where each band's pulse lies, and the counts weighted as a small change of
+delay would change them. Where none stands out, depth and reflectance have not changed as far as
+photons can tell.
 """
 
 from __future__ import annotations
@@ -20,16 +21,27 @@ from hueflight.fit.tables import ModelTables
 def change_reference(
     light: NDArray[Any], found: Fit, offsets_ns: NDArray[np.float64], tables: ModelTables
 ) -> NDArray[np.float32]:
-    """What changes are told by: (pixel, 2, room).
+    """Return what later counts are compared with.
 
-    Of each pixel its counts in the wide bins of the search, and by how much the fit's expected
-    counts there change with the delay, relative to themselves, per ns. What room is left holds 0.
+    Of each pixel this is its counts in the wide bins of the search, and the derivative of the fit's
+    expected counts there by the delay, relative to themselves, per ns. Bins that make up a whole
+    multiple hold 0.
 
     Parameters
     ----------
-    light : (pixel, bin) counts behind `found`.
-    found : fit of the pixels.
-    offsets_ns : (pixel,) delay that belongs to the pixel.
+    light : ndarray, shape (pixel, bin)
+        Counts behind `found`.
+    found : Fit
+        Fit of the pixels.
+    offsets_ns : ndarray of float, shape (pixel,)
+        Delay that belongs to the pixel itself.
+    tables : ModelTables
+        Tables of the fit.
+
+    Returns
+    -------
+    ndarray of float32, shape (pixel, 2, room)
+        Counts and derivatives.
     """
     level = tables.wide
     counts = _wide_sums(light, tables)
@@ -53,14 +65,25 @@ def change_significance(
     delays_ns: NDArray[np.float64],
     tables: ModelTables,
 ) -> NDArray[np.float64]:
-    """Greatest contrast (pixel,) in standard deviations.
+    """Return the greatest difference of each pixel in standard deviations.
 
     Parameters
     ----------
-    now : (pixel, bin) counts.
-    memory : (pixel, 2, room) of the pixels as they were; see `change_reference`.
-    scales : (pixel,) exposures now per exposure then.
-    delays_ns : (pixel,) that were found, with what belongs to the pixel.
+    now : ndarray, shape (pixel, bin)
+        New counts.
+    memory : ndarray of float32, shape (pixel, 2, room)
+        The same pixels at their last fit; see `change_reference`.
+    scales : ndarray of float, shape (pixel,)
+        Exposures now per exposure then.
+    delays_ns : ndarray of float, shape (pixel,)
+        Delays that were found, including those of the pixels themselves.
+    tables : ModelTables
+        Tables of the fit.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel,)
+        Significance of the change.
     """
     search = tables.search
     a = _wide_sums(now, tables)
@@ -79,7 +102,7 @@ def change_significance(
 
 
 def _wide_sums(light: NDArray[Any], tables: ModelTables) -> NDArray[np.float64]:
-    """Counts (pixel, wide bin)."""
+    """Return counts (pixel, wide bin)."""
     return tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
 
 

@@ -12,17 +12,21 @@ from hueflight.backend.fit import CENTROID_ROUNDS
 def correlate(
     image: NDArray[np.floating], reference: NDArray[np.floating], max_lag: int
 ) -> NDArray[np.float32]:
-    """Linear cross-correlation at lags −max_lag … max_lag.
+    """Return the linear cross-correlation at lags −max_lag … max_lag.
 
     Parameters
     ----------
-    image : (pixel, bin) counts in time order.
-    reference : (pixel, bin) or (bin,), the same order.
-    max_lag : largest shift in bins; positive lags mean that the image comes later.
+    image : ndarray, shape (pixel, bin)
+        Counts in time order.
+    reference : ndarray, shape (pixel, bin) or (bin,)
+        Counts of the reference in the same order.
+    max_lag : int
+        Largest shift in bins; positive lags mean that the image comes later.
 
     Returns
     -------
-    (pixel, 2·max_lag + 1): Σ_b image[b + lag] · reference[b].
+    ndarray of float32, shape (pixel, 2·max_lag + 1)
+        Σ_b image[b + lag] · reference[b].
     """
     bins = image.shape[-1]
     length = int(fft.next_fast_len(bins + max_lag, real=True))
@@ -41,18 +45,28 @@ def peak_centroid(
     half_width: float,
     rounds: int = CENTROID_ROUNDS,
 ) -> NDArray[np.float64]:
-    """Centroid of the middle peak, in bins, shape (pixel,).
+    """Return the centroid of the middle peak of a correlation.
 
-    The highest lag within ±search is refined by the weighted mean over ±half_width around it,
-    above the lowest value in the search range (the pedestal that background adds). The
-    window's edges may fall inside a lag and follow the centroid for a few rounds, so that the
-    result is not drawn to whole bins.
+    The highest lag within ±search is refined by the weighted mean over ±half_width around it, above
+    the lowest value in the search range (the pedestal that background adds). The edges of the
+    window may fall inside a lag and follow the centroid for a few rounds, so that the result is not
+    drawn to whole bins.
 
     Parameters
     ----------
-    correlation : (pixel, 2·max_lag + 1) as `correlate` gives.
-    search : half the range of lags in which the peak may lie, bins.
-    half_width : half the window of the centroid, bins.
+    correlation : ndarray, shape (pixel, 2·max_lag + 1)
+        Correlation as `correlate` gives it.
+    search : int
+        Half the range of lags in which the peak may lie, bins.
+    half_width : float
+        Half the window of the centroid, bins.
+    rounds : int
+        Rounds in which the window follows the centroid.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel,)
+        Centroid in bins.
     """
     max_lag = correlation.shape[-1] // 2
     allowed = correlation[:, max_lag - search : max_lag + search + 1]

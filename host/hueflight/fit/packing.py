@@ -19,16 +19,23 @@ class PackedDelays:
 
     Attributes
     ----------
-    blocks : of bins.
-    widths : (block · lane,).
-    places : (phase + 1,) first run of each phase.
-    runs : (run, 4) successive blocks that one band lights: band, first block, blocks, place in
-        `data`; bands rise.
-    data : (place, lane) of each run all shares, then all slopes.
-    pairs : (pair, 2) bands that share a block at some delay, the greater first.
-    meets : (phase + 1,) first meeting of each phase.
-    meetings : (meeting, 5) successive blocks that two bands light: pair, first block, blocks,
-        places of their shares.
+    blocks : int
+        Blocks of bins.
+    widths : ndarray of float32, shape (block · lane,)
+        Share of the background.
+    places : ndarray of int32, shape (phase + 1,)
+        First run of each phase.
+    runs : ndarray of int32, shape (run, 4)
+        Successive blocks that one band lights: band, first block, blocks, place in `data`; bands
+        rise.
+    data : ndarray of float32, shape (place, lane)
+        Of each run all shares, then all slopes.
+    pairs : ndarray of uint8, shape (pair, 2)
+        Bands that share a block at some delay, the greater first.
+    meets : ndarray of int32, shape (phase + 1,)
+        First meeting of each phase.
+    meetings : ndarray of int32, shape (meeting, 5)
+        Successive blocks that two bands light: pair, first block, blocks, places of their shares.
     """
 
     blocks: int
@@ -47,16 +54,22 @@ class PackedDelays:
 
 @dataclass(frozen=True, eq=False)
 class PackedSearch:
-    """Tables of the first search; of each vector of lags only the bins that matter.
+    """Tables of the search; of each vector of lags only the bins that matter.
 
     Attributes
     ----------
-    spans : (vector, band, 3) first bin, one past the last, place in `gains`.
-    gains : for each bin of a span (ratio, lane).
-    costs : (vector, band, ratio, lane).
-    places : (lag + 1,) first run of each lag.
-    runs : (run, 3) a band's zone: band, first bin, one past the last.
-    widths, shares : (lag, band).
+    spans : ndarray of int32, shape (vector, band, 3)
+        First bin, one past the last, and place in `gains`.
+    gains : ndarray of float32
+        Values (ratio, lane) for each bin of a span.
+    costs : ndarray of float32, shape (vector, band, ratio, lane)
+        Costs of the background; see `SearchTables`.
+    places : ndarray of int32, shape (lag + 1,)
+        First run of each lag.
+    runs : ndarray of int16, shape (run, 3)
+        Zone of a band: band, first bin, one past the last.
+    widths, shares : ndarray of float32, shape (lag, band)
+        Share of the background and of the band in its zone.
     """
 
     spans: NDArray[np.int32]
@@ -79,7 +92,15 @@ def _arrays(packed: PackedDelays | PackedSearch) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True, eq=False)
 class PackedTables:
-    """Tables of the fit as the kernel reads them."""
+    """Tables of the fit as the kernel reads them.
+
+    Attributes
+    ----------
+    fine, wide : PackedDelays
+        Tables at the bin width of the result and at that of the search.
+    search : PackedSearch
+        Tables of the search.
+    """
 
     fine: PackedDelays
     wide: PackedDelays
@@ -87,12 +108,21 @@ class PackedTables:
 
 
 def pack(tables: ModelTables, lanes: int, *, skip_dark: bool = True) -> PackedTables:
-    """Tables for a kernel with vectors of so many lanes.
+    """Lay out tables for a kernel with vectors of so many lanes.
 
     Parameters
     ----------
-    skip_dark : a band's blocks of bins in which its pulse is not are left out; the results are
-        the same.
+    tables : ModelTables
+        The tables.
+    lanes : int
+        Elements of a vector.
+    skip_dark : bool
+        Leave out a band's blocks of bins in which its pulse is not; the results are the same.
+
+    Returns
+    -------
+    PackedTables
+        The same tables in flat arrays.
     """
     fine = _level(tables.fine, lanes, skip_dark=skip_dark)
     wide = fine if tables.wide is tables.fine else _level(tables.wide, lanes, skip_dark=skip_dark)

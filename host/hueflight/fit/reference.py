@@ -4,17 +4,16 @@ Maximum likelihood for Poisson counts, in four steps:
 
 1. *Search*: the likelihood over whole lags, each band free to be dark or bright.
 2. *Scoring*: Fisher's method of scoring (weighted least squares with the model's own variances,
-   Osborne, Int. Stat. Rev. 60, 1992), until the delay moves no more than a fraction of its
-   standard deviation. It starts from the photons in each band's bins and those in nobody's. Few
-   photons take a second step, and the weights assume some background: else photons at the pulses'
-   feet pass for background, up to a tenth of one of each band.
+   Osborne, Int. Stat. Rev. 60, 1992), until the delay moves by no more than a fraction of its
+   standard deviation. It starts from the photons in each band's zone and those in no zone. Pixels
+   with few photons take a second step, and the weights assume some background: otherwise photons in
+   the tails of the pulses are taken for background, up to a tenth of a photon of each band.
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
-4. *Posterior*: where photons are few the likelihood is not a parabola; the delay and its
-   deviation are then the mean and deviation of the likelihood on a few delays around its
-   maximum. Elsewhere, and that is from 60 photons on, a third-order correction of the parabola
-   does.
+4. *Posterior*: where photons are few, the likelihood is not a parabola; the delay and its deviation
+   are then the mean and deviation of the likelihood on a few delays around its maximum. From 60
+   photons on, a third-order correction of the parabola suffices.
 
-Everything here works on pixels side by side; `kernels` holds the same in C.
+Everything here works on many pixels at once; `hueflight/fit/_c` holds the same in C.
 """
 
 from __future__ import annotations
@@ -49,14 +48,19 @@ LIKELIHOOD_ROUNDS = 6  #: of expectation maximisation before two likelihoods are
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What the fit may leave out. Each is on by default; results stay within what it states.
+    """Steps that the fit may leave out.
 
     Attributes
     ----------
-    wide_first : scoring begins at the bins of the search; with a `target_ns` it always does.
-    settle : scoring ends when a delay has settled (else all steps are taken).
-    posterior : the fewest photons get the posterior stage (else the correction only).
-    target_ns : scoring ends after the wide bins where the deviation is below this already.
+    wide_first : bool
+        Begin scoring at the wide bins of the search. With a `target_ns` it always begins there.
+    settle : bool
+        End scoring when a delay has settled; otherwise all steps are taken.
+    posterior : bool
+        Evaluate the posterior of pixels with the fewest photons; otherwise only correct the
+        parabola.
+    target_ns : float
+        End scoring after the wide bins where the deviation is below this already.
     """
 
     wide_first: bool = False
@@ -75,15 +79,20 @@ DEFAULT = FitOptions()
 
 @dataclass(frozen=True)
 class Fit:
-    """Result for each pixel.
+    """Result of the fit for each pixel.
 
     Attributes
     ----------
-    delay_ns, delay_std_ns : (pixel,) arrival against the templates.
-    other_ns : (pixel,) second plausible delay, else NaN.
-    amplitudes, amplitude_std : (pixel, band) photons.
-    background : (pixel,) photons over all bins.
-    steps : (pixel,) of scoring at the full bin width.
+    delay_ns, delay_std_ns : ndarray of float, shape (pixel,)
+        Arrival against the templates, and its standard deviation.
+    other_ns : ndarray of float, shape (pixel,)
+        Second plausible delay, else NaN.
+    amplitudes, amplitude_std : ndarray of float, shape (pixel, band)
+        Photons of each band, and their standard deviation.
+    background : ndarray of float, shape (pixel,)
+        Photons over all bins.
+    steps : ndarray of uint8, shape (pixel,)
+        Steps of scoring at the fine bins.
     """
 
     delay_ns: NDArray[np.float64]
@@ -99,17 +108,47 @@ class Fit:
         return {name: getattr(self, name) for name in Fit.__dataclass_fields__}
 
     def take(self, chosen: NDArray[Any] | slice) -> Fit:
-        """Some of the pixels."""
+        """Return the fit of some of the pixels.
+
+        Parameters
+        ----------
+        chosen : ndarray or slice
+            Pixels to take.
+
+        Returns
+        -------
+        Fit
+            Their fit; a view if `chosen` is a slice.
+        """
         return Fit(*(getattr(self, name)[chosen] for name in Fit.__dataclass_fields__))
 
     def put(self, chosen: NDArray[Any] | slice, other: Fit) -> None:
-        """Another fit's pixels in place of some of these."""
+        """Replace the fit of some pixels.
+
+        Parameters
+        ----------
+        chosen : ndarray or slice
+            Pixels to replace.
+        other : Fit
+            Their new fit.
+        """
         for name in Fit.__dataclass_fields__:
             getattr(self, name)[chosen] = getattr(other, name)
 
 
 def no_fit(pixels: int, bands: int) -> Fit:
-    """Room for the fits of so many pixels, all zero."""
+    """Return a fit that is 0 everywhere, to be filled.
+
+    Parameters
+    ----------
+    pixels, bands : int
+        Size of the fit.
+
+    Returns
+    -------
+    Fit
+        The empty fit.
+    """
     delay, deviation, other, background = np.zeros((4, pixels))
     amplitudes, amplitude_std = np.zeros((2, pixels, bands))
     return Fit(
@@ -151,8 +190,19 @@ def fit(
 
     Parameters
     ----------
-    light : (pixel, bin) counts in time order, all views side by side, at least one count each.
-    offsets_ns : (pixel,) delay that belongs to the pixel, not to the scene.
+    light : ndarray, shape (pixel, bin)
+        Counts in time order, all views side by side, at least one count in each pixel.
+    offsets_ns : ndarray of float, shape (pixel,)
+        Delay that belongs to the pixel, not to the scene.
+    tables : ModelTables
+        Tables of the fit.
+    options : FitOptions
+        Steps that may be left out.
+
+    Returns
+    -------
+    Fit
+        Result for each pixel.
     """
     counts = tables.fine.summed(np.asarray(light, np.float64))
     total = counts.sum(axis=-1)
@@ -386,7 +436,18 @@ def _step(
 
 
 def by_phase(phase: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Pixels of each phase."""
+    """Yield each phase that occurs, and its pixels.
+
+    Parameters
+    ----------
+    phase : ndarray of int, shape (pixel,)
+        Phase of each pixel.
+
+    Yields
+    ------
+    tuple of int and ndarray of int
+        A phase and the numbers of its pixels.
+    """
     order = np.argsort(phase, kind="stable")
     values, first = np.unique(phase[order], return_index=True)
     parts = np.split(order, first[1:]) if phase.size else []

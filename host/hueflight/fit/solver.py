@@ -1,7 +1,6 @@
-"""The joint fit, compiled where it could be: one function, checked here, the same either way.
+"""The joint fit behind one function, compiled where possible: arguments are checked here.
 
-The compiled kernel is taken where it was built and has room for the tables's bands; see
-`hueflight.backend`.
+The compiled kernel is used where it was built and has room for the bands; see `hueflight.backend`.
 """
 
 from __future__ import annotations
@@ -89,16 +88,35 @@ def fit_pixels(
     per_period: NDArray[np.float64] | None = None,
     threads: int = 1,
 ) -> Fit:
-    """Fit pixels side by side; see `fit.fit`.
+    """Fit pixels with the compiled kernel or its NumPy definition; see `reference.fit`.
 
     Parameters
     ----------
-    light : (pixel, bin) counts in time order.
-    offsets_ns : (fitted,) delay of each pixel that is fitted.
-    pixels : (fitted,) rows of `light` to fit; default all.
-    per_period : (fitted,) photons per period, of which a sensor that keeps the first photon of an
-        exposure hides some: undone on the way, see `pileup.coates_correction`.
-    threads : that share the pixels, tile by tile; the result does not depend on it.
+    light : ndarray, shape (pixel, bin)
+        Counts in time order.
+    offsets_ns : ndarray of float, shape (fitted,)
+        Delay of each pixel that is fitted.
+    tables : ModelTables
+        Tables of the fit.
+    options : FitOptions
+        Steps that may be left out.
+    pixels : ndarray of int64, shape (fitted,), optional
+        Rows of `light` to fit; by default all.
+    per_period : ndarray of float, shape (fitted,), optional
+        Photons per period. A sensor that keeps the first photon of an exposure hides some of them,
+        which is undone before the fit; see `pileup.coates_correction`.
+    threads : int
+        Threads that share the pixels, tile by tile; the result does not depend on it.
+
+    Returns
+    -------
+    Fit
+        Result for each pixel that is fitted.
+
+    Raises
+    ------
+    HueflightError
+        If the arrays do not fit the tables.
     """
     bins = sum(view.bins.count for view in tables.views)
     which = np.arange(len(light)) if pixels is None else np.ascontiguousarray(pixels, np.int64)
@@ -140,16 +158,41 @@ def fit_pixels(
 
 
 def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
-    """Counts (pixel,) of (pixel, bin)."""
+    """Return the counts of each pixel.
+
+    Parameters
+    ----------
+    light : ndarray, shape (pixel, bin)
+        Counts.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel,)
+        Sums over bins.
+    """
     return survey(light)[0]
 
 
 def survey(
     counts: NDArray[Any], lit: slice = slice(None)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Counts (pixel,) of (pixel, code), those of `lit` codes, and where a counter is full.
+    """Count the photons of each pixel in one pass, and look for full counters.
 
-    A counter is full at the end of its integer type.
+    Parameters
+    ----------
+    counts : ndarray, shape (pixel, code)
+        Counts.
+    lit : slice
+        Codes of photons.
+
+    Returns
+    -------
+    sums : ndarray of float, shape (pixel,)
+        Counts of all codes.
+    inside : ndarray of float, shape (pixel,)
+        Counts of the codes in `lit`.
+    full : ndarray of bool, shape (pixel,)
+        True where a counter is at the end of its integer type.
     """
     kernel = compiled_kernel()
     if kernel is None or counts.dtype not in COUNT_TYPES:
@@ -175,7 +218,26 @@ def change_reference(
     offsets_ns: NDArray[np.float64],
     tables: ModelTables,
 ) -> NDArray[np.float32]:
-    """Return what later counts are compared with; see `change_detection.change_reference`."""
+    """Return what later counts are compared with; see `change_detection.change_reference`.
+
+    Parameters
+    ----------
+    light : ndarray, shape (pixel, bin)
+        Counts behind `found`.
+    pixels : ndarray of int64, shape (fitted,)
+        Rows of `light` that `found` is the fit of.
+    found : Fit
+        Their fit.
+    offsets_ns : ndarray of float, shape (fitted,)
+        Delay that belongs to the pixel itself.
+    tables : ModelTables
+        Tables of the fit.
+
+    Returns
+    -------
+    ndarray of float32, shape (fitted, 2, room)
+        Counts and derivatives.
+    """
     kernel = compiled_kernel(tables.bands)
     if kernel is None or light.dtype not in COUNT_TYPES:
         return change_detection.change_reference(light[pixels], found, offsets_ns, tables)
@@ -204,7 +266,28 @@ def change_significance(
     delays_ns: NDArray[np.float64],
     tables: ModelTables,
 ) -> NDArray[np.float64]:
-    """Return how much pixels have changed; see `change_detection.change_significance`."""
+    """Return how much pixels have changed; see `change_detection.change_significance`.
+
+    Parameters
+    ----------
+    now : ndarray, shape (pixel, bin)
+        New counts of all pixels.
+    memory : ndarray of float32, shape (pixel, 2, room)
+        What `change_reference` gave for all pixels.
+    pixels : ndarray of int64, shape (chosen,)
+        Pixels to compare.
+    scales : ndarray of float, shape (chosen,)
+        Exposures now per exposure then.
+    delays_ns : ndarray of float, shape (chosen,)
+        Delays that were found, including those of the pixels themselves.
+    tables : ModelTables
+        Tables of the fit.
+
+    Returns
+    -------
+    ndarray of float, shape (chosen,)
+        Greatest difference in standard deviations.
+    """
     kernel = compiled_kernel(tables.bands)
     if kernel is None or now.dtype not in COUNT_TYPES:
         return change_detection.change_significance(

@@ -1,10 +1,10 @@
-"""What the joint fit needs to know, worked out once per calibration: tables over the delay.
+"""Tables of the model over the delay, computed once per calibration.
 
-The fit compares counts with μ_i(τ) = Σ_k A_k T_ki(τ) + b·w_i, where T_ki is band k's share of
-photons in bin i at delay τ and w_i the background's. Tables hold T and its derivative on a fine
-grid of delays, exact on the circle of the period, for unequal bins, for trains of any order.
-Schedules that alternate frame by frame are *views* of the same pixel: their bins stand side by
-side, their delay and amplitudes are common.
+The fit compares counts with μ_i(τ) = Σ_k A_k T_ki(τ) + b·w_i, where T_ki is the share of band k's
+photons in bin i at delay τ, and w_i that of the background. Tables hold T and its derivative on a
+fine grid of delays, exact on the circle of the period, for unequal bins and for trains of any
+order. Schedules that alternate frame by frame are *views* of the same pixel: their bins stand side
+by side, and their delay and amplitudes are common.
 """
 
 from __future__ import annotations
@@ -30,7 +30,17 @@ ZONE_FLOOR = 0.02  #: a band's zone ends where its share falls to this part of t
 
 @dataclass(frozen=True, eq=False)
 class ScheduleView:
-    """One schedule's bins and waveforms, and its share of a pixel's exposures."""
+    """Bins and waveforms of one schedule.
+
+    Attributes
+    ----------
+    bins : TimeBins
+        Its bins.
+    templates : Templates
+        Its waveforms.
+    weight : float
+        Its share of a pixel's exposures, on any scale.
+    """
 
     bins: TimeBins
     templates: Templates
@@ -43,12 +53,17 @@ class DelayTables:
 
     Attributes
     ----------
-    starts : (bin,) first of the next finer bins that each bin sums: of the sensor's own for the
-        fine level, of the fine ones for all others.
-    widths : (bin,) share of the background.
-    first_ns, phase_ns : delay of the first table and between tables.
-    shares : (phase, band, bin) of a band's photons.
-    slopes : (phase, band, bin) derivative of `shares` by the delay, per ns.
+    starts : ndarray of int, shape (bin,)
+        First of the next finer bins that each bin sums: those of the sensor for the fine tables,
+        the fine bins for all others.
+    widths : ndarray of float32, shape (bin,)
+        Share of the background.
+    first_ns, phase_ns : float
+        First tabulated delay, and the step between them.
+    shares : ndarray of float32, shape (phase, band, bin)
+        Share of a band's photons.
+    slopes : ndarray of float32, shape (phase, band, bin)
+        Derivative of `shares` by the delay, per ns.
     """
 
     starts: NDArray[np.intp]
@@ -59,18 +74,40 @@ class DelayTables:
     slopes: NDArray[np.float32]
 
     def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Counts (pixel, finer bin) in this level's bins."""
+        """Return counts in the bins of these tables.
+
+        Parameters
+        ----------
+        counts : ndarray of float, shape (pixel, finer bin)
+            Counts in the next finer bins.
+
+        Returns
+        -------
+        ndarray of float, shape (pixel, bin)
+            Their sums.
+        """
         return summed(counts, self.starts)
 
     def phase_of(self, delay_ns: NDArray[np.floating]) -> NDArray[np.intp]:
-        """Nearest table of each delay."""
+        """Return the nearest tabulated delay of each delay.
+
+        Parameters
+        ----------
+        delay_ns : ndarray of float
+            Delays.
+
+        Returns
+        -------
+        ndarray of int
+            Numbers of tabulated delays.
+        """
         nearest = np.rint((delay_ns - self.first_ns) / self.phase_ns)
         return np.clip(nearest, 0, len(self.shares) - 1).astype(np.intp)
 
 
 @dataclass(frozen=True, eq=False)
 class SearchTables:
-    """Tables of the first search, over whole lags.
+    """Tables of the search over whole lags.
 
     Every bin belongs to the one band that is brightest in it. A band whose peak stands ρ times
     above the background b changes the log-likelihood of counts h by Σ_j h_j·log(1 + ρ·x_j) −
@@ -78,13 +115,22 @@ class SearchTables:
 
     Attributes
     ----------
-    starts, widths : as in `DelayTables`.
-    lags_ns : (lag,).
-    gains : (ratio, band, bin, lag) log(1 + ρ·x).
-    costs : (ratio, band, lag) ρ·Σ x w.
-    zones : (band, bin, lag) 1 where a bin counts for a band, else 0.
-    zone_widths, zone_shares : (band, lag) background's and band's share in its zone.
-    separation : lags between which two maxima are two delays, not one.
+    starts : ndarray of int, shape (bin,)
+        First fine bin of each bin.
+    widths : ndarray of float32, shape (bin,)
+        Share of the background.
+    lags_ns : ndarray of float, shape (lag,)
+        Delays that are searched.
+    gains : ndarray of float32, shape (ratio, band, bin, lag)
+        Values of log(1 + ρ·x).
+    costs : ndarray of float32, shape (ratio, band, lag)
+        Values of ρ·Σ x w.
+    zones : ndarray of float32, shape (band, bin, lag)
+        1 where a bin counts for a band, else 0.
+    zone_widths, zone_shares : ndarray of float32, shape (band, lag)
+        Share of the background and of the band in the band's zone.
+    separation : int
+        Lags between which two maxima are two delays, not one.
     """
 
     starts: NDArray[np.intp]
@@ -98,7 +144,18 @@ class SearchTables:
     separation: int
 
     def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Counts (pixel, fine bin) in the bins of the search."""
+        """Return counts in the bins of the search.
+
+        Parameters
+        ----------
+        counts : ndarray of float, shape (pixel, fine bin)
+            Counts in the fine bins.
+
+        Returns
+        -------
+        ndarray of float, shape (pixel, bin)
+            Their sums.
+        """
         return summed(counts, self.starts)
 
 
@@ -108,13 +165,18 @@ class ModelTables:
 
     Attributes
     ----------
-    fine, wide : tables at the bin width of the result and at that of the search.
-    search : tables of the first search.
-    search_ns : least and greatest delay against the reference.
-    fine_factor, wide_factor : bins that each one sums: the sensor's for the fine level, fine
-        ones for the search.
-    spread_ns : standard deviation that one photon of a white target leaves to its delay.
-    views : the schedules it is for.
+    search : SearchTables
+        Tables of the search.
+    wide, fine : DelayTables
+        Tables at the bin width of the search and at that of the result.
+    fine_factor, wide_factor : int
+        Sensor's bins in a fine bin, and fine bins in a wide one.
+    search_ns : tuple of float
+        Least and greatest delay against the reference.
+    spread_ns : float
+        Standard deviation of the delay of a white target that one photon tells.
+    views : tuple of ScheduleView
+        Schedules that the tables are for.
     """
 
     search: SearchTables
@@ -140,15 +202,25 @@ def make_tables(
     search_ns: tuple[float, float],
     offsets_ns: tuple[float, float] = (0.0, 0.0),
 ) -> ModelTables:
-    """Tables for one schedule, or for several that alternate.
+    """Compute the tables for one schedule, or for several that alternate.
 
     Parameters
     ----------
-    views : schedules; each pixel's counts hold their bins in this order.
-    shortest_fwhm_ns : of the pulses.
-    brightness : (band,) photons of a white target, any scale.
-    search_ns : least and greatest delay against the reference.
-    offsets_ns : least and greatest delay of a pixel of its own.
+    views : sequence of ScheduleView
+        Schedules; each pixel's counts hold their bins in this order.
+    shortest_fwhm_ns : float
+        Width of the shortest pulse at half its maximum.
+    brightness : ndarray of float, shape (band,)
+        Photons of a white target, on any scale.
+    search_ns : tuple of float
+        Least and greatest delay against the reference.
+    offsets_ns : tuple of float
+        Least and greatest delay that belongs to a pixel itself.
+
+    Returns
+    -------
+    ModelTables
+        The tables.
     """
     bin_ns = max(view.bins.span_ns / view.bins.count for view in views)
     fine = max(1, floor(shortest_fwhm_ns / FINE_BINS_PER_FWHM / bin_ns))
@@ -177,7 +249,20 @@ def make_tables(
 
 
 def summed(counts: NDArray[np.float64], starts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Sums (pixel, group) of counts (pixel, bin) between successive starts."""
+    """Return sums of counts between successive starts.
+
+    Parameters
+    ----------
+    counts : ndarray of float, shape (pixel, bin)
+        Counts.
+    starts : ndarray of int, shape (group,)
+        First bin of each group.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel, group)
+        Sums.
+    """
     if starts.size == counts.shape[-1]:
         return counts
     return np.add.reduceat(counts, starts, axis=-1)

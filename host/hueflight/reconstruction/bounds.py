@@ -1,9 +1,9 @@
-"""What no unbiased estimator can beat: Cramér–Rao bounds of depth and reflectance.
+"""Cramér–Rao bounds of depth and reflectance: what no unbiased estimator can beat.
 
-Poisson counts h_i with mean λ_i(θ) have the Fisher information
-I_ab = Σ_i ∂_a λ_i ∂_b λ_i / λ_i (Kay, Estimation Theory, 1993, ch. 3); parameters are the
-delay, one amplitude per band and a flat background. The standard deviation of each is at
-least the root of its element on the diagonal of I⁻¹.
+Poisson counts h_i with mean λ_i(θ) have the Fisher information I_ab = Σ_i ∂_a λ_i ∂_b λ_i / λ_i
+(Kay, Estimation Theory, 1993, ch. 3); parameters are the delay, one amplitude per band and a flat
+background. The standard deviation of each is at least the root of its element on the diagonal of
+I⁻¹.
 """
 
 from __future__ import annotations
@@ -23,19 +23,25 @@ def fisher_information(
     amplitudes: ArrayLike,
     background: float,
 ) -> NDArray[np.float64]:
-    """Information matrix of (delay, amplitude of each band, background).
+    """Return the information matrix of (delay, amplitude of each band, background).
 
     Parameters
     ----------
-    shares : (band, bin) share of each band's photons per bin.
-    slopes : (band, bin) derivative of `shares` by the delay, per ns.
-    widths : (bin,) share of the background per bin.
-    amplitudes : (band,) expected photons.
-    background : expected photons over all bins.
+    shares : ndarray of float, shape (band, bin)
+        Share of each band's photons per bin.
+    slopes : ndarray of float, shape (band, bin)
+        Derivative of `shares` by the delay, per ns.
+    widths : ndarray of float, shape (bin,)
+        Share of the background per bin.
+    amplitudes : array_like, shape (band,)
+        Expected photons of each band.
+    background : float
+        Expected photons of the background over all bins.
 
     Returns
     -------
-    (band + 2, band + 2).
+    ndarray of float, shape (band + 2, band + 2)
+        Information matrix.
     """
     signal = np.asarray(amplitudes, dtype=np.float64)
     mean = signal @ shares + background * widths
@@ -48,9 +54,21 @@ def fisher_information(
 def expected_shares(
     source: Calibration | Instrument, depth: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Shares (band, bin), their slopes by delay (per ns) and flat widths (bin,) at a depth, m.
+    """Return the waveforms that are expected at a depth.
 
-    From a calibration's measured waveforms, or from an instrument's own pulses.
+    Parameters
+    ----------
+    source : Calibration or Instrument
+        A calibration, whose measured waveforms count, or an instrument, whose nominal pulses do.
+    depth : float
+        Depth, m.
+
+    Returns
+    -------
+    shares, slopes : ndarray of float, shape (band, bin)
+        Share of each band's photons per bin, and its derivative by the delay, per ns.
+    widths : ndarray of float, shape (bin,)
+        Share of the background per bin.
     """
     if isinstance(source, Calibration):
         edges_ns = source.bins.edges_ns
@@ -79,9 +97,30 @@ def information(
     background: float = 0.0,
     depth: float | None = None,
 ) -> NDArray[np.float64]:
-    """Fisher information (band + 2)² of a pixel that expects `photons` of signal in all.
+    """Return the Fisher information of a pixel that expects a number of signal photons.
 
-    Parameters and errors are those of `depth_bound`.
+    Parameters
+    ----------
+    source : Calibration or Instrument
+        A calibration or an instrument.
+    photons : float
+        Expected signal photons over all bands.
+    reflectance : array_like, shape (band,), optional
+        Relative reflectance, by default white.
+    background : float
+        Expected background photons over the whole period.
+    depth : float, optional
+        Depth of the target, m; by default that of the calibration's reference.
+
+    Returns
+    -------
+    ndarray of float, shape (band + 2, band + 2)
+        Information matrix of delay, amplitudes and background.
+
+    Raises
+    ------
+    HueflightError
+        If a number is out of range, or there is no signal.
     """
     white = _brightness_of(source)
     colour = np.ones(white.size) if reflectance is None else np.asarray(reflectance, float)
@@ -105,10 +144,22 @@ def information(
 
 
 def bounds(fisher: NDArray[np.floating], *, background: float) -> NDArray[np.float64]:
-    """Least standard deviations of all parameters of an information matrix.
+    """Return the least standard deviations of all parameters of an information matrix.
 
-    With no background at all its amplitude sits on the edge of what is possible and is not
-    estimated: its row is left out (NaN in the result).
+    Without any background, its amplitude is at the edge of what is possible and is not estimated:
+    its row is left out, and the result is NaN there.
+
+    Parameters
+    ----------
+    fisher : ndarray of float, shape (parameter, parameter)
+        Information matrix.
+    background : float
+        Expected background photons.
+
+    Returns
+    -------
+    ndarray of float, shape (parameter,)
+        Standard deviations.
     """
     known = fisher.shape[0] - (1 if background == 0 else 0)
     # bands without light have unbounded information; scale before inverting
@@ -122,7 +173,18 @@ def bounds(fisher: NDArray[np.floating], *, background: float) -> NDArray[np.flo
 
 
 def depth_deviation(delay_deviation_ns: float) -> float:
-    """Depth (m) of a delay (ns): half the way light goes."""
+    """Convert a deviation of delay to one of depth.
+
+    Parameters
+    ----------
+    delay_deviation_ns : float
+        Standard deviation of the delay.
+
+    Returns
+    -------
+    float
+        Standard deviation of depth, m: half the distance that light travels.
+    """
     return SPEED_OF_LIGHT_M_PER_NS * delay_deviation_ns / 2
 
 
@@ -135,20 +197,30 @@ def depth_bound(
     background: float = 0.0,
     depth: float | None = None,
 ) -> float:
-    """Least standard deviation of depth, in metres, that an unbiased estimator can reach.
+    """Return the least standard deviation of depth that an unbiased estimator can reach.
 
     Parameters
     ----------
-    source : a calibration (its measured waveforms and brightness count) or an instrument.
-    photons : expected signal photons over all bands.
-    reflectance : (band,) relative reflectance, default white.
-    background : expected background photons over the whole period.
-    depth : of the target, m; default the calibration's reference.
+    source : Calibration or Instrument
+        A calibration, whose measured waveforms and brightness count, or an instrument.
+    photons : float
+        Expected signal photons over all bands.
+    reflectance : array_like, shape (band,), optional
+        Relative reflectance, by default white.
+    background : float
+        Expected background photons over the whole period.
+    depth : float, optional
+        Depth of the target, m; by default that of the calibration's reference.
+
+    Returns
+    -------
+    float
+        Standard deviation of depth, m.
 
     Raises
     ------
     HueflightError
-        If a number makes no sense, or there is no signal.
+        If a number is out of range, or there is no signal.
     """
     fisher = information(
         source, photons=photons, reflectance=reflectance, background=background, depth=depth
@@ -165,10 +237,30 @@ def reflectance_bound(
     background: float = 0.0,
     depth: float | None = None,
 ) -> NDArray[np.float64]:
-    """Least standard deviation of each band's reflectance, shape (band,).
+    """Return the least standard deviation of the reflectance in each band.
 
-    Reflectance is in units of the one given (default white = 1). Parameters and errors are
-    those of `depth_bound`.
+    Parameters
+    ----------
+    source : Calibration or Instrument
+        A calibration, whose measured waveforms and brightness count, or an instrument.
+    photons : float
+        Expected signal photons over all bands.
+    reflectance : array_like, shape (band,), optional
+        Relative reflectance, by default white.
+    background : float
+        Expected background photons over the whole period.
+    depth : float, optional
+        Depth of the target, m; by default that of the calibration's reference.
+
+    Returns
+    -------
+    ndarray of float, shape (band,)
+        Standard deviations, in units of the given reflectance (by default white = 1).
+
+    Raises
+    ------
+    HueflightError
+        If a number is out of range, or there is no signal.
     """
     fisher = information(
         source, photons=photons, reflectance=reflectance, background=background, depth=depth

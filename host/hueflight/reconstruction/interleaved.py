@@ -1,8 +1,8 @@
-"""Schedules that take turns, frame by frame, fitted together from a histogram of each.
+"""Schedules that alternate frame by frame, fitted together from one histogram of each.
 
-One schedule alone can't tell which LED an object of a single colour has answered. Two can: the
-object's echo moves from one frame to the next by the difference of its LED's two delays. Delay
-and amplitudes are common to all schedules, so nothing of the photons' precision is lost.
+One schedule alone can't tell which LED was reflected by an object of a single color. Two can: the
+object's echo moves from one frame to the next by the difference of the two delays of its LED. Delay
+and amplitudes are common to all schedules, so that no precision is lost.
 """
 
 from __future__ import annotations
@@ -46,32 +46,41 @@ def reconstruct_interleaved(
     pileup_correction: bool = True,
     switches: FitOptions = DEFAULT,
 ) -> xr.Dataset:
-    """Depth and reflectance from schedules that took turns, by one joint fit.
+    """Reconstruct depth and reflectance from interleaved schedules by one joint fit.
 
     Parameters
     ----------
-    histograms : (row, col, code) counts of each schedule, as ``read_capture(by_step=True)``
-        parts them by the illuminator's step marker.
-    calibrations : one for each, of the same sensor and LEDs in front of a reference at the same
-        distance; only the LEDs' delays may differ.
-    depth_range : nearest and farthest depth to search, m; default the whole circle of the
-        period, from the camera on.
-    frames : exposures behind each histogram, numbers or (row, col); by default the sum over
-        codes where the sensor reports its empty exposures.
-    range_correction, pileup_correction : as in `reconstruct`.
-    switches : what the fit may leave out.
+    histograms : sequence of array_like, shape (row, col, code) each
+        Counts of each schedule, as ``read_capture(by_step=True)`` separates them by the step marker
+        of the illuminator.
+    calibrations : sequence of Calibration
+        One for each schedule, of the same sensor and LEDs in front of a reference at the same
+        distance; only the delays of the LEDs may differ.
+    depth_range : tuple of float, optional
+        Nearest and farthest depth to search, m; by default the whole circle of the period,
+        beginning at the camera.
+    frames : sequence of array_like, optional
+        Exposures behind each histogram, numbers or arrays (row, col); by default the sum over codes
+        where the sensor reports its empty exposures.
+    range_correction : bool
+        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    pileup_correction : bool
+        Undo the loss of later photons of an exposure, where the number of exposures is known.
+    switches : FitOptions
+        Steps that the fit may leave out.
 
     Returns
     -------
-    Dataset as of `reconstruct`; pixels with two plausible depths are flagged ambiguous and keep
-    the other one in `other_depth`.
+    Dataset
+        Image as `reconstruct` gives it. Pixels with two plausible depths are flagged ambiguous, and
+        `other_depth` holds the second one.
 
     Raises
     ------
     HistogramError
         If a histogram does not fit its calibration's instrument, or is empty.
     CalibrationError
-        If the calibrations differ in more than the LEDs' delays.
+        If the calibrations differ in more than the delays of the LEDs.
     """
     _check_calibrations(calibrations, len(histograms))
     given = [None] * len(histograms) if frames is None else list(frames)

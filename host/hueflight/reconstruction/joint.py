@@ -1,4 +1,4 @@
-"""Images by the joint maximum-likelihood fit: what `fit` gives, in metres and reflectance."""
+"""Images by the joint maximum-likelihood fit, in metres and reflectance."""
 
 from __future__ import annotations
 
@@ -31,7 +31,20 @@ _kept_tables: WeakKeyDictionary[Calibration, dict[tuple[float, float], ModelTabl
 
 
 def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, float]) -> ModelTables:
-    """Tables for a calibration; made once and kept as long as it lives."""
+    """Return the tables for a calibration, which are kept as long as it lives.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+    search_ns : tuple of float
+        Least and greatest delay against the reference.
+
+    Returns
+    -------
+    ModelTables
+        Tables of the fit.
+    """
     kept = _kept_tables.setdefault(calibration, {})
     if search_ns not in kept:
         delays_ns = calibration.pixel_delay_ns[calibration.usable]
@@ -49,10 +62,25 @@ def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, flo
 def search_range_ns(
     calibration: Calibration, depth_range: tuple[float, float] | None
 ) -> tuple[float, float]:
-    """Least and greatest delay against the reference.
+    """Return the least and the greatest delay to search, against the reference.
 
-    Half the spacing of the pulses either way, or three quarters of a single shot, unless a
-    range of depths (m) is asked for.
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+    depth_range : tuple of float, or None
+        Nearest and farthest depth, m. None for half the spacing of the pulses either way, or three
+        quarters of a single shot.
+
+    Returns
+    -------
+    tuple of float
+        Least and greatest delay, ns.
+
+    Raises
+    ------
+    HueflightError
+        If the range is invalid, or wider than the depth after which the period repeats.
     """
     if depth_range is None:
         limit_ns = min(calibration.instrument.half_spacing_ns(), 0.75 * calibration.bins.span_ns)
@@ -90,19 +118,35 @@ def estimate(
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
 ) -> Estimates:
-    """Depth and reflectance of every pixel by the joint fit.
+    """Estimate depth and reflectance of every pixel by the joint fit.
 
     Parameters
     ----------
-    light : (row, col, bin) counts in time order.
-    frames : (row, col) exposures behind them, or None to assume as many as the reference had.
-    photons : (row, col) sums of `light`, if they are known already.
-    range_correction : multiply reflectance by (distance / reference distance)².
-    pileup_correction : undo what an exposure that keeps only its first photon loses.
-    depth_range : depths to search, m; default half the pulses' spacing about the reference.
-    region : (row, col) pixels that are wanted; default all.
-    skips : what may be left out.
-    threads : that share the pixels.
+    light : ndarray, shape (row, col, bin)
+        Counts in time order.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures behind them; None to assume as many as the reference had.
+    calibration : Calibration
+        Calibration of the same instrument.
+    photons : ndarray of float, shape (row, col), optional
+        Sums of `light`, if they are known already.
+    range_correction : bool
+        Multiply reflectance by (distance / reference distance)².
+    pileup_correction : bool
+        Undo the loss of photons after the first one of an exposure.
+    depth_range : tuple of float, optional
+        Depths to search, m; by default half the spacing of the pulses about the reference.
+    region : ndarray of bool, shape (row, col), optional
+        Pixels that are wanted; by default all.
+    skips : Skips
+        What may be left out.
+    threads : int
+        Threads that share the pixels.
+
+    Returns
+    -------
+    Estimates
+        Results of all pixels.
     """
     rows, cols, bins = light.shape
     search_ns = search_range_ns(calibration, depth_range)
@@ -151,14 +195,31 @@ def fit_chosen(
     skips: Skips,
     threads: int,
 ) -> Fit:
-    """Fit of some pixels, in order.
+    """Fit some of the pixels, in order.
 
     Parameters
     ----------
-    light : (row · col, bin) counts in time order.
-    chosen : (row, col) pixels to fit.
-    photons, frames : (row, col) counts and exposures behind them; without `frames` the photons
-        that an exposure hides behind its first are not undone.
+    light : ndarray, shape (row · col, bin)
+        Counts in time order.
+    chosen : ndarray of bool, shape (row, col)
+        Pixels to fit.
+    photons : ndarray of float, shape (row, col)
+        Sums of `light`.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures; None to leave the loss of later photons of an exposure as it is.
+    calibration : Calibration
+        Calibration of the same instrument.
+    tables : ModelTables
+        Tables of the fit.
+    skips : Skips
+        What may be left out.
+    threads : int
+        Threads that share the pixels.
+
+    Returns
+    -------
+    Fit
+        Result of the chosen pixels.
     """
     pixels = np.flatnonzero(chosen)
     delays_ns = calibration.pixel_delay_ns[chosen]
@@ -185,14 +246,31 @@ def in_metres(
     range_correction: bool,
     pileup_correction: bool,
 ) -> Estimates:
-    """Image of fitted pixels: delays as depth, photons as reflectance, doubts as flags.
+    """Convert fitted pixels to estimates: depth, reflectance and flags.
 
     Parameters
     ----------
-    found : fit of the chosen pixels, in order.
-    chosen : (row, col) pixels that were fitted.
-    photons, frames : (row, col) counts and exposures behind them.
-    search_ns : delays that were searched; the rest as in `estimate`.
+    found : Fit
+        Fit of the chosen pixels, in order.
+    chosen : ndarray of bool, shape (row, col)
+        Pixels that were fitted.
+    photons : ndarray of float, shape (row, col)
+        Counts of each pixel.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures behind them.
+    calibration : Calibration
+        Calibration of the same instrument.
+    search_ns : tuple of float
+        Delays that were searched.
+    range_correction : bool
+        Multiply reflectance by (distance / reference distance)².
+    pileup_correction : bool
+        Undo the loss of photons after the first one of an exposure.
+
+    Returns
+    -------
+    Estimates
+        Results of all pixels.
     """
     rows, cols = photons.shape
     usable = calibration.usable

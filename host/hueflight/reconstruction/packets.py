@@ -1,4 +1,4 @@
-"""Packets to an image in one call: counted and fitted where the counts lie, on the same threads."""
+"""From packets to an image in one call: counted and fitted on the same threads."""
 
 from __future__ import annotations
 
@@ -25,27 +25,39 @@ def reconstruct_packets(
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
 ) -> tuple[xr.Dataset, IngestReport]:
-    """Depth and reflectance in every band from a stream of packets, by the joint fit.
+    """Reconstruct depth and reflectance in every band from a stream of packets, by the joint fit.
 
     Parameters
     ----------
-    packets : whole packets of frames; damage is skipped and reported.
-    calibration : of the same instrument.
-    out : (row, col, code) counts to use as working memory: emptied first, then filled. Pictures
-        in sequence save the time of new memory by it.
-    depth_range, pileup_correction, skips : as in `reconstruct`.
-    threads : over pixels, first of counting, then of fitting.
+    packets : bytes-like
+        Whole packets of frames; damage is skipped and reported.
+    calibration : Calibration
+        Calibration of the same instrument.
+    out : ndarray of uint16 or uint32, shape (row, col, code), optional
+        Working memory for the counts, which is cleared first. Reusing it saves the time that new
+        memory takes.
+    depth_range : tuple of float, optional
+        Nearest and farthest depth to search, m; see `reconstruct`.
+    pileup_correction : bool
+        Undo the loss of later photons of an exposure.
+    skips : Skips
+        What the fit may leave out.
+    threads : int
+        Threads that share the pixels, first of counting, then of fitting.
 
     Returns
     -------
-    The image, and the report of what came.
+    image : Dataset
+        Image as `reconstruct` gives it.
+    report : IngestReport
+        Frames that were counted, and damage.
 
     Raises
     ------
     IngestError
-        If frames are of another geometry than the instrument's.
+        If frames have another geometry than the instrument.
     HistogramError
-        If no frame came, or `out` does not fit the instrument.
+        If there is no frame, or `out` does not fit the instrument.
     """
     if out is not None:
         out.fill(0)

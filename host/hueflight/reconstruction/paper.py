@@ -1,9 +1,9 @@
-"""The paper's method: correlation with a reference, centroid, shifted window sums.
+"""The published method: correlation with a reference, centroid, shifted window sums.
 
-Kept as published: equation (2) subtracts no background. It is the baseline that better
-estimators are measured against. Only the loss of later photons of an exposure, which makes
-bright pixels seem darker than they are, is undone unless asked otherwise. Where the counts are
-whole numbers, `paper_compiled` does the same faster.
+It is kept as published: equation (2) subtracts no background. It is the baseline that better
+estimators are compared with. Only the loss of later photons of an exposure, which makes bright
+pixels seem darker than they are, is undone unless asked otherwise. Where counts are whole numbers,
+`paper_kernel` computes the same faster.
 """
 
 from __future__ import annotations
@@ -37,17 +37,29 @@ def estimate(
     range_correction: bool = False,
     pileup_correction: bool = True,
 ) -> Estimates:
-    """Depth and reflectance of every pixel by the paper's method.
+    """Estimate depth and reflectance of every pixel by the published method.
 
     Parameters
     ----------
-    light : (row, col, bin) counts in time order.
-    frames : (row, col) exposures behind them, or None to assume as many as the reference had.
-    photons : (row, col) counts of the light, where they are known already.
-    range_correction : multiply reflectance by (distance / reference distance)².
-    pileup_correction : undo the loss of later photons of an exposure, so that reflectance
-        stays proportional to light at high occupancy (a sensor keeps one photon per exposure:
-        the mean number that arrived is −ln(1 − hits/frames)).
+    light : ndarray, shape (row, col, bin)
+        Counts in time order.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures behind them; None to assume as many as the reference had.
+    calibration : Calibration
+        Calibration of the same instrument.
+    photons : ndarray of float, shape (row, col), optional
+        Sums of `light`, if they are known already.
+    range_correction : bool
+        Multiply reflectance by (distance / reference distance)².
+    pileup_correction : bool
+        Undo the loss of later photons of an exposure, so that reflectance stays proportional to
+        light at high occupancy. A sensor keeps one photon per exposure: the mean number that
+        arrived is −ln(1 − hits/frames).
+
+    Returns
+    -------
+    Estimates
+        Results of all pixels.
     """
     rows, cols, count = light.shape
     known: NDArray[np.float64] = (
@@ -126,12 +138,21 @@ def _measured(
 def measured_numpy(
     light: NDArray[Any], pixels: NDArray[np.int64], calibration: Calibration
 ) -> Measured:
-    """Delay, window sums and background of pixels: the definition.
+    """Measure delay, window sums and background of pixels: the NumPy definition.
 
     Parameters
     ----------
-    light : (pixel, bin) counts in time order.
-    pixels : those to measure.
+    light : ndarray, shape (pixel, bin)
+        Counts in time order.
+    pixels : ndarray of int64
+        Pixels to measure.
+    calibration : Calibration
+        Calibration of the same instrument.
+
+    Returns
+    -------
+    Measured
+        Measurements of the chosen pixels.
     """
     tile = light[pixels].astype(np.float32, copy=False)
     reference = calibration.reference.reshape(light.shape)[pixels]
@@ -147,14 +168,36 @@ def measured_numpy(
 
 
 def search_of(calibration: Calibration) -> Search:
-    """Lags that are searched, and the window of the centroid."""
+    """Return the lags that are searched, and the window of the centroid.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+
+    Returns
+    -------
+    Search
+        Lags in bins.
+    """
     search = search_bins(calibration)
     half_width = min(calibration.half_width_bins, float(search))
     return Search(search, half_width, search + ceil(half_width))
 
 
 def search_bins(calibration: Calibration) -> int:
-    """Largest lag that is searched: half the pulse spacing, else all the codes there are."""
+    """Return the largest lag that is searched.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+
+    Returns
+    -------
+    int
+        Half the spacing of the pulses or, without a period, three quarters of all bins.
+    """
     bins = calibration.bins
     half_spacing_ns = calibration.instrument.half_spacing_ns()
     limit_ns = min(half_spacing_ns, bins.span_ns * 0.75)
@@ -164,11 +207,21 @@ def search_bins(calibration: Calibration) -> int:
 def delays(
     light: NDArray[np.floating], reference: NDArray[np.floating], calibration: Calibration
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Delay of each pixel against its own reference and its standard deviation, in bins.
+    """Return the delay of each pixel against its own reference and its standard deviation.
 
     Parameters
     ----------
-    light, reference : (pixel, bin) counts in time order.
+    light, reference : ndarray, shape (pixel, bin)
+        Counts in time order.
+    calibration : Calibration
+        Calibration of the same instrument.
+
+    Returns
+    -------
+    delay : ndarray of float, shape (pixel,)
+        Delay in bins.
+    deviation : ndarray of float, shape (pixel,)
+        Its standard deviation in bins.
     """
     lags = search_of(calibration)
     search, half_width = lags.search, lags.half_width
@@ -229,7 +282,18 @@ def _range_ratio(depth: NDArray[np.float64], calibration: Calibration) -> NDArra
 
 
 def outside_windows(calibration: Calibration) -> NDArray[np.bool_]:
-    """Full bins (bin,) that belong to no window of the reference."""
+    """Return the bins of full width that belong to no window of the reference.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+
+    Returns
+    -------
+    ndarray of bool, shape (bin,)
+        True outside the windows.
+    """
     count = calibration.bins.count
     outside = calibration.bins.widths_ns > 0.9 * calibration.bin_width_ns
     for window in calibration.windows:

@@ -1,4 +1,4 @@
-"""The paper's method behind its definition: what the compiled kernel takes, made ready once."""
+"""The compiled kernel of the published method: its arguments are prepared once per calibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,17 @@ _ready: WeakKeyDictionary[Calibration, Ready | None] = WeakKeyDictionary()
 
 @dataclass(frozen=True)
 class Search:
-    """The correlation's lags in bins: how far is searched, and half the centroid's window."""
+    """Lags of the correlation in bins.
+
+    Attributes
+    ----------
+    search : int
+        Largest lag that is searched.
+    half_width : float
+        Half the window of the centroid.
+    most : int
+        Largest lag that the window reaches.
+    """
 
     search: int
     half_width: float
@@ -29,7 +39,17 @@ class Search:
 
 @dataclass(frozen=True)
 class Measured:
-    """Of each pixel: delay in bins, its deviation, sums (pixel, band), counts per code."""
+    """Measurements of pixels.
+
+    Attributes
+    ----------
+    delay, deviation : ndarray of float, shape (pixel,)
+        Delay and its standard deviation, bins.
+    sums : ndarray of float, shape (pixel, band)
+        Counts in the shifted windows of each band.
+    background : ndarray of float, shape (pixel,)
+        Counts per code outside the windows.
+    """
 
     delay: NDArray[np.float64]
     deviation: NDArray[np.float64]
@@ -39,12 +59,20 @@ class Measured:
 
 @dataclass(frozen=True)
 class Ready:
-    """A calibration as the kernel reads it.
+    """A calibration as the kernel reads it; fields are arguments of `CORRELATIONS`.
 
     Attributes
     ----------
-    reference : (pixel, bin) whole counts, continued around the circle by as many bins on both
-        sides as there are lags.
+    sizes : ndarray of void, shape (1,)
+        A `CorrelationSizes` record.
+    windows : ndarray of int32, shape (window, 3)
+        Band, first bin, one past the last.
+    gaps : ndarray of int32, shape (gap, 2)
+        First bin and one past the last of bins in no window.
+    reference : ndarray of uint16, shape (pixel, bin)
+        Whole counts, continued around the circle on both sides by as many bins as there are lags.
+    pixel_delays : ndarray of float, shape (pixel,)
+        Delays of the pixels themselves, bins.
     """
 
     sizes: NDArray[np.void]
@@ -62,14 +90,27 @@ def measure(
     search: Search,
     outside: NDArray[np.bool_],
 ) -> Measured | None:
-    """Measure pixels by the kernel; None where it is not there, or not for these numbers.
+    """Measure pixels by the compiled kernel.
 
     Parameters
     ----------
-    light : (pixel, bin) counts in time order.
-    pixels : those to measure.
-    photons : the most that a pixel holds.
-    outside : (bin,) bins that belong to no window.
+    light : ndarray, shape (pixel, bin)
+        Counts in time order.
+    pixels : ndarray of int64
+        Pixels to measure.
+    photons : float
+        The most that a pixel holds.
+    calibration : Calibration
+        Calibration of the same instrument.
+    search : Search
+        Lags that are searched.
+    outside : ndarray of bool, shape (bin,)
+        Bins that belong to no window.
+
+    Returns
+    -------
+    Measured or None
+        Measurements; None where the kernel is not there or does not take these numbers.
     """
     kernel = compiled_kernel()
     if kernel is None or light.dtype not in COUNT_TYPES[:2]:

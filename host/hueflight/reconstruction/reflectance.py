@@ -1,4 +1,4 @@
-"""From a pixel's photons to reflectance, but for each band's gain: the same for every method."""
+"""From a pixel's photons to reflectance, except for each band's gain: the same for every method."""
 
 from __future__ import annotations
 
@@ -18,13 +18,23 @@ def reflectance_scale(
     *,
     pileup_correction: bool,
 ) -> NDArray[np.float64]:
-    """Factor (row, col) from a pixel's photons to photons per frame of an average pixel.
+    """Return the factor from a pixel's photons to photons per frame of an average pixel.
 
     Parameters
     ----------
-    photons, frames : (row, col) counts and the exposures behind them; without exposures as many
-        are assumed as the reference had.
-    pileup_correction : undo what exposures that keep only their first photon have lost.
+    photons : ndarray of float, shape (row, col)
+        Counts of each pixel.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures behind them; None to assume as many as the reference had.
+    calibration : Calibration
+        Calibration of the same instrument.
+    pileup_correction : bool
+        Undo the loss of photons after the first one of an exposure.
+
+    Returns
+    -------
+    ndarray of float, shape (row, col)
+        The factor.
     """
     if frames is None or calibration.frames is None:
         return 1 / calibration.flat_field

@@ -1,4 +1,4 @@
-"""When a capture has seen enough: a share of the pixels known well enough."""
+"""When a capture may stop: a share of the pixels is known precisely enough."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from hueflight.reconstruction.quality import Quality
 
 @dataclass(frozen=True, kw_only=True)
 class StopRule:
-    """What must be known, of how many pixels.
+    """Precision that is wanted, and of how many pixels.
 
     Attributes
     ----------
-    depth_std : standard deviation of depth that is wanted, m; None if depth does not matter.
-    reflectance_std : the same of the reflectance in every band.
-    share : of the pixels that could be known at all, above 0 and at most 1.
+    depth_std : float or None
+        Standard deviation of depth, m; None if depth does not matter.
+    reflectance_std : float or None
+        Standard deviation of the reflectance in every band; None if it does not matter.
+    share : float
+        Share of the pixels that can be known at all, above 0 and at most 1.
 
     Raises
     ------
     HueflightError
-        If a wish can't be met or there is none.
+        If a number is out of range, or no precision is given.
     """
 
     depth_std: float | None = None
@@ -44,15 +47,22 @@ class StopRule:
 
 
 def share_known(image: xr.Dataset, rule: StopRule, /) -> float:
-    """Share of the pixels whose uncertainties are what the rule wants.
+    """Return the share of pixels whose uncertainties meet the rule.
 
-    Dead and hot pixels, and those left out on request, don't count: no wait would help them.
-    Pixels that nothing is known of yet count as not there.
+    Dead and hot pixels and those left out on request don't count, because waiting does not help
+    them. Pixels of which nothing is known yet count as not meeting it.
 
     Parameters
     ----------
-    image : as `reconstruct` gives.
-    rule : what is wanted.
+    image : Dataset
+        Image as `reconstruct` gives it.
+    rule : StopRule
+        Precision that is wanted.
+
+    Returns
+    -------
+    float
+        Share from 0 to 1.
     """
     never = int(Quality.DEAD | Quality.HOT | Quality.SKIPPED)
     could = (image["quality"].values & never) == 0
@@ -65,19 +75,41 @@ def share_known(image: xr.Dataset, rule: StopRule, /) -> float:
 
 
 def seen_enough(image: xr.Dataset, rule: StopRule, /) -> bool:
-    """Whether a capture may stop: see `share_known`."""
+    """Tell whether a capture may stop; see `share_known`.
+
+    Parameters
+    ----------
+    image : Dataset
+        Image as `reconstruct` gives it.
+    rule : StopRule
+        Precision that is wanted.
+
+    Returns
+    -------
+    bool
+        True if enough pixels meet the rule.
+    """
     return share_known(image, rule) >= rule.share
 
 
 def frames_needed(image: xr.Dataset, rule: StopRule, frames: float, /) -> float:
-    """Frames in all after which the rule will be met, if the scene stays.
+    """Estimate after how many frames in all the rule will be met, if the scene does not change.
 
-    Variances fall as the number of frames grows; infinity where pixels of which nothing is known
-    yet are more than the rule forgives.
+    Variances fall in proportion to the number of frames.
 
     Parameters
     ----------
-    frames : behind the image.
+    image : Dataset
+        Image as `reconstruct` gives it.
+    rule : StopRule
+        Precision that is wanted.
+    frames : float
+        Frames behind the image.
+
+    Returns
+    -------
+    float
+        Number of frames; infinity where nothing is known yet of more pixels than the rule permits.
     """
     never = int(Quality.DEAD | Quality.HOT | Quality.SKIPPED)
     could = (image["quality"].values & never) == 0

@@ -1,9 +1,9 @@
-"""Intervals that cover a reflectance as often as they say, with few photons too.
+"""Confidence intervals of reflectance that have the stated coverage with few photons, too.
 
-The number of photons that a band gives has a variance that grows with the band's own light. An
-interval of so many standard deviations about an estimate takes the variance at the estimate: too
-short where the photons came out few, so that it misses more often than it says. The score interval
-asks instead which true values make the estimate likely, each with the variance that it would have
+The number of photons of a band has a variance that grows with the band's own light. An interval of
+some standard deviations about an estimate uses the variance at the estimate: it is too short where
+the photons came out few, and covers the truth less often than stated. The score interval asks
+instead which true values make the estimate likely, each with the variance that it would have
 (Wilson, J. Am. Stat. Assoc. 22, 209, 1927, for proportions).
 """
 
@@ -18,21 +18,30 @@ from hueflight.errors import ImageError
 def reflectance_interval(
     image: xr.Dataset, /, *, level: float = 0.95
 ) -> tuple[xr.DataArray, xr.DataArray]:
-    """Lowest and highest plausible reflectance, each (…, row, col, band).
+    """Return the lowest and the highest plausible reflectance.
 
-    With variance V at the estimate â, in photons, that of a true a is V + a − â; the interval
-    holds all a ≥ 0 with (â − a)² ≤ z² (V + a − â). Where a band expects fewer than about three
-    photons the interval covers more than it says, since photons are whole.
+    With variance V at the estimate â, in photons, that of a true a is V + a − â; the interval holds
+    all a ≥ 0 with (â − a)² ≤ z² (V + a − â). Where a band expects fewer than about three photons,
+    the interval covers more than stated, because photons are whole.
 
     Parameters
     ----------
-    image : from ``method="joint"``; reflectances may be below 0, as noise makes them.
-    level : share of intervals that shall cover the truth, above 0 and below 1.
+    image : Dataset
+        Image from ``method="joint"``; reflectances may be below 0, as noise makes them.
+    level : float
+        Share of intervals that cover the truth, above 0 and below 1.
+
+    Returns
+    -------
+    low : DataArray, shape (…, row, col, band)
+        Lower bound.
+    high : DataArray, shape (…, row, col, band)
+        Upper bound.
 
     Raises
     ------
     ImageError
-        If the level makes no sense or the image does not say how many photons white would give.
+        If the level is out of range, or the image does not tell how many photons white would give.
     """
     if not 0 < level < 1:
         raise ImageError(f"level = {level!r}: must lie between 0 and 1, e.g. 0.95")

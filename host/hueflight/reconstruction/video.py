@@ -1,8 +1,8 @@
-"""Images of one scene after another: pixels that have not changed keep what was found.
+"""Images of successive histograms: pixels that have not changed keep their result.
 
 A pixel is fitted again when its counts differ from those behind its last fit by more than chance
-would have it; see `changes`. Since they are compared with the last *fit*, not the last image, slow
-drifts add up until they are seen.
+explains; see `hueflight.fit.change_detection`. Because they are compared with the last *fit*, not
+the last image, slow drifts add up until they are noticed.
 """
 
 from __future__ import annotations
@@ -43,16 +43,27 @@ class _Kept:
 
 
 class Video:
-    """The joint fit of histograms in sequence, pixels that stay the same left out.
+    """The joint fit of successive histograms, without the pixels that stay the same.
 
     Parameters
     ----------
-    calibration : of the instrument.
-    change_sigma : standard deviations by which a contrast of counts must differ from the last fit
-        to be a change. At 4 a pixel of a still scene is fitted again by chance in about one image
-        of a thousand; a change of depth by 8 of its deviations is seen in nearly every one. 0
-        fits every pixel of every image.
-    depth_range, range_correction, pileup_correction, skips, threads : as in `reconstruct`.
+    calibration : Calibration
+        Calibration of the instrument.
+    change_sigma : float
+        Standard deviations by which counts must differ from the last fit to be a change. At 4, a
+        pixel of a still scene is fitted again by chance in about one image of a thousand, and a
+        change of depth by 8 of its standard deviations is noticed in nearly every one. 0 fits every
+        pixel of every image.
+    depth_range : tuple of float, optional
+        Nearest and farthest depth to search, m; see `reconstruct`.
+    range_correction : bool
+        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    pileup_correction : bool
+        Undo the loss of later photons of an exposure.
+    skips : Skips
+        What the fit may leave out.
+    threads : int
+        Threads that share the pixels.
 
     Raises
     ------
@@ -94,12 +105,21 @@ class Video:
         frames: ArrayLike | None = None,
         due: NDArray[np.bool_] | None = None,
     ) -> xr.Dataset:
-        """Image of the next histogram (row, col, code); what pixels kept is flagged skipped.
+        """Return the image of the next histogram; pixels that kept their result are flagged skipped.
 
         Parameters
         ----------
-        frames : as in `reconstruct`.
-        due : (row, col) pixels that are fitted again whether they have changed or not.
+        histogram : array_like, shape (row, col, code)
+            Counts, raw codes on the last axis.
+        frames : array_like, shape (row, col), or float, optional
+            Exposures behind the histogram; see `reconstruct`.
+        due : ndarray of bool, shape (row, col), optional
+            Pixels that are fitted again whether they have changed or not.
+
+        Returns
+        -------
+        Dataset
+            Image as `reconstruct` gives it.
 
         Raises
         ------

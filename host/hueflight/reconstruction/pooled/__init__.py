@@ -1,1 +1,1 @@
-"""Images from few photons per pixel, estimated over adaptive neighbourhoods."""
+"""Images from few photons per pixel, estimated over adaptive neighborhoods."""

@@ -1,4 +1,4 @@
-"""Pools of neighbors: each grows in rounds, and ends where neighbors show something else."""
+"""Adaptive neighborhoods: they grow in rounds, and end where neighbors show something else."""
 
 from __future__ import annotations
 
@@ -33,14 +33,18 @@ STEP_PER_FWHM = 0.21  #: that scoring may move a delay by
 
 @dataclass(frozen=True, eq=False)
 class Pools:
-    """What the pools of all pixels hold, (row, col) each.
+    """What the neighborhoods of all pixels hold.
 
     Attributes
     ----------
-    delays_ns, variances : of the delay.
-    windows : (window, row, col) mean photons per pixel.
-    pixels, depth_pixels : so many that an equal-weight pool would hold as many.
-    information : on the delay, per ns².
+    delays_ns, variances : ndarray of float32, shape (row, col)
+        Delay and its variance, ns².
+    windows : ndarray of float32, shape (window, row, col)
+        Mean photons per pixel in the window of each band and of the background.
+    pixels, depth_pixels : ndarray of float32, shape (row, col)
+        Number of pixels that an equally weighted neighborhood would hold, for spectrum and depth.
+    information : ndarray of float32, shape (row, col)
+        Fisher information on the delay, per ns².
     """
 
     delays_ns: Floats
@@ -60,7 +64,30 @@ def grown(
     enough: float,
     threads: int,
 ) -> Pools:
-    """Pools of all pixels, each closed when it holds enough."""
+    """Grow the neighborhoods of all pixels until each holds enough photons.
+
+    Parameters
+    ----------
+    seen : Photons
+        Photons of all pixels.
+    pilot : ndarray of float32, shape (row, col)
+        First estimate of the delay, ns.
+    usable : ndarray of bool, shape (row, col)
+        Pixels that are neither dead nor hot.
+    tables : Tables
+        Waveforms of the instrument.
+    search_ns : tuple of float
+        Least and greatest delay.
+    enough : float
+        Photons with which a neighborhood is closed.
+    threads : int
+        Threads that share the rows.
+
+    Returns
+    -------
+    Pools
+        What the neighborhoods hold.
+    """
     windows = windows_of(seen, pilot, tables)
     ones = usable.astype(np.float32)
     around = _box(np.concatenate([windows, ones[None]]), 4, threads)
@@ -91,10 +118,10 @@ def _looked_again(
     search_ns: tuple[float, float],
     threads: int,
 ) -> Pools:
-    """Pools with the depth of those that lack photons from a wider circle.
+    """Return pools in which those that lack photons take their depth from a wider circle.
 
-    Until now neighbors were judged by the pilot's delays, which are blurred across steps; now all
-    have their pools' own.
+    Until now neighbors were compared by the delays of the pilot, which are blurred across depth
+    steps; now all have the delays of their own pools.
     """
     score, information = _scored(seen, pools.delays_ns, pools.windows, tables)
     moment = information * pools.delays_ns + score
@@ -111,7 +138,22 @@ def _looked_again(
 
 
 def windows_of(seen: Photons, delays_ns: Floats, tables: Tables) -> Floats:
-    """Photons (window, row, col) of the pixels themselves."""
+    """Count the photons of each pixel itself in the windows of the bands.
+
+    Parameters
+    ----------
+    seen : Photons
+        Photons of all pixels.
+    delays_ns : ndarray of float32, shape (row, col)
+        Delay of each pixel.
+    tables : Tables
+        Waveforms of the instrument.
+
+    Returns
+    -------
+    ndarray of float32, shape (window, row, col)
+        Photons.
+    """
     count = tables.bands + 1
     found = window_counts(seen, delays_ns.ravel(), tables.windows, tables.cells_per_ns, count)
     return found.reshape(count, *delays_ns.shape)
@@ -124,7 +166,24 @@ def first_pools(
     usable: NDArray[np.bool_],
     threads: int,
 ) -> Pools:
-    """Pools to begin with: squares of three pixels."""
+    """Return the pools to begin with: squares of three by three pixels.
+
+    Parameters
+    ----------
+    windows : ndarray of float32, shape (window, row, col)
+        Photons of the pixels themselves.
+    delays_ns, information : ndarray of float32, shape (row, col)
+        Delay and the Fisher information on it.
+    usable : ndarray of bool, shape (row, col)
+        Pixels that are neither dead nor hot.
+    threads : int
+        Threads that share the planes.
+
+    Returns
+    -------
+    Pools
+        The pools.
+    """
     near = _box(np.concatenate([windows, usable[None].astype(np.float32)]), 1, threads)
     return Pools(
         delays_ns=delays_ns,
@@ -137,7 +196,26 @@ def first_pools(
 
 
 def likeness(pools: Pools, windows: Floats, usable: NDArray[np.bool_], tables: Tables) -> Likeness:
-    """What neighbors are judged by; the image's mean keeps empty pools from being sure."""
+    """Return what neighbors are compared by.
+
+    The mean of the image counts a little in every pool, so that an empty pool is not certain.
+
+    Parameters
+    ----------
+    pools : Pools
+        Pools so far.
+    windows : ndarray of float32, shape (window, row, col)
+        Photons of the pixels themselves.
+    usable : ndarray of bool, shape (row, col)
+        Pixels that are neither dead nor hot.
+    tables : Tables
+        Waveforms of the instrument.
+
+    Returns
+    -------
+    Likeness
+        Spectra and depths so far.
+    """
     mean = windows.sum(axis=(1, 2)) / max(int(usable.sum()), 1)
     prior = (tables.groups.T @ mean * PRIOR_PIXELS)[:, None, None]
     groups = np.einsum("sg,srp->grp", tables.groups, pools.windows)
@@ -146,10 +224,22 @@ def likeness(pools: Pools, windows: Floats, usable: NDArray[np.bool_], tables: T
 
 
 def unmixed_of(windows: Floats, unmixing: Floats) -> Floats:
-    """Amplitudes (band, row, col), background last, behind photons in windows.
+    """Convert photons in windows to amplitudes of the bands.
 
-    Not a matrix product: threads of the linear algebra would wait for one another longer than so
-    small a one takes.
+    This is no matrix product on purpose: the threads of the linear algebra library would wait for
+    one another longer than such a small product takes.
+
+    Parameters
+    ----------
+    windows : ndarray of float32, shape (window, row, col)
+        Photons.
+    unmixing : ndarray of float32, shape (band + 1, window)
+        Inverse of the mixing of bands in windows.
+
+    Returns
+    -------
+    ndarray of float32, shape (band + 1, row, col)
+        Amplitudes, the background last.
     """
     return np.einsum("as,srp->arp", unmixing, windows)
 

@@ -1,13 +1,14 @@
-"""Images from a few photons per pixel: neighbors lend photons where a pixel's own don't suffice.
+"""Images from a few photons per pixel: neighbors contribute photons where a pixel has too few.
 
-1. *Pilot*: the delay of each pixel from the likelihood of a white train over a square that holds
-   enough photons; then over neighbors of the same color, so that it does not blur steps.
-2. *Pooling*: in circles that grow from round to round a pixel takes in the photons of neighbors
-   that its pool so far does not contradict, in brightness and color or in depth. Its pool is
-   closed as soon as it holds enough. Pools that lack photons take their depth from a wider
-   circle, judged by all depths found.
+1. *Pilot*: the delay of each pixel from the likelihood of a white pulse train over a square that
+   holds enough photons; then over neighbors of the same color, so that depth steps are not blurred.
+2. *Pooling*: in circles that grow from round to round, a pixel collects the photons of neighbors
+   that its pool so far does not contradict, in brightness and color or in depth. A pool is closed
+   as soon as it holds enough. Pools that lack photons take their depth from a wider circle,
+   compared by all depths found.
 3. *Estimate*: delay by one step of scoring over the pool, amplitudes from its photons in the
-   windows between pulses. A pixel that has enough photons of its own gets the joint fit.
+windows
+   of the bands. A pixel that has enough photons of its own gets the joint fit.
 
 Every pixel reports how many pixels its estimate rests on.
 """
@@ -67,15 +68,31 @@ def estimate(
     enough: float = ENOUGH,
     threads: int = 1,
 ) -> Estimates:
-    """Depth and reflectance of every pixel, with the help of its neighbors.
+    """Estimate depth and reflectance of every pixel with the help of its neighbors.
 
     Parameters
     ----------
-    counts : (row, col, code) as the sensor gives them.
-    frames : (row, col) exposures behind them, or None to assume as many as the reference had.
-    enough : photons that suffice: a pixel that has them is left to itself.
-    threads : that share the rows; the result does not depend on it.
-    range_correction, pileup_correction, depth_range : as in `joint.estimate`.
+    counts : ndarray, shape (row, col, code)
+        Counts, raw codes on the last axis.
+    frames : ndarray of float, shape (row, col), or None
+        Exposures behind them; None to assume as many as the reference had.
+    calibration : Calibration
+        Calibration of the same instrument.
+    range_correction : bool
+        Multiply reflectance by (distance / reference distance)².
+    pileup_correction : bool
+        Undo the loss of photons after the first one of an exposure.
+    depth_range : tuple of float, optional
+        Depths to search, m; by default half the spacing of the pulses about the reference.
+    enough : float
+        Photons that suffice: a pixel that has them is estimated alone.
+    threads : int
+        Threads that share the rows; the result does not depend on it.
+
+    Returns
+    -------
+    Estimates
+        Results of all pixels.
 
     Raises
     ------
@@ -135,7 +152,24 @@ def estimate(
 def photons_of(
     counts: NDArray[np.generic], calibration: Calibration, tables: Tables, *, threads: int = 1
 ) -> Photons:
-    """Photons of all usable pixels; of the others none."""
+    """List the photons of all usable pixels; the others have none.
+
+    Parameters
+    ----------
+    counts : ndarray, shape (row, col, code)
+        Counts, raw codes on the last axis.
+    calibration : Calibration
+        Calibration of the same instrument.
+    tables : Tables
+        Waveforms of the instrument.
+    threads : int
+        Threads that share the pixels.
+
+    Returns
+    -------
+    Photons
+        Arrival times.
+    """
     bins = calibration.bins
     times_ns = np.full(counts.shape[-1], -1.0, np.float32)
     times_ns[bins.codes] = bins.centers_ns

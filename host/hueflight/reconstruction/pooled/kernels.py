@@ -1,11 +1,10 @@
-"""Loops over photons and over neighbors, compiled where that could be: the same either way.
+"""Loops over photons and over neighbors, compiled where possible: the same result either way.
 
-Few photons are handled one by one, not by histogram: a list of arrival times per pixel. What a
-pixel lacks its neighbors lend, each with a weight between 0 and 1 that falls with distance and
-to 0 where the pixel's own pool so far says that the neighbor shows something else (propagation
-and separation: Polzehl and Spokoiny, J. R. Stat. Soc. B 62, 335, 2000).
-
-The compiled loops are taken where they were built; see `hueflight.backend`.
+Few photons are handled one by one, not as a histogram: a list of arrival times per pixel. Neighbors
+contribute with a weight between 0 and 1, which falls with distance, and to 0 where the pixel's own
+pool so far shows something else than the neighbor (propagation and separation: Polzehl and
+Spokoiny, J. R. Stat. Soc. B 62, 335, 2000). `hueflight.backend` decides whether the compiled loops
+run.
 """
 
 from __future__ import annotations
@@ -46,7 +45,24 @@ Result = TypeVar("Result")
 def in_parts(
     work: Callable[[tuple[int, int]], Result], items: int, parts: int, threads: int
 ) -> list[Result]:
-    """Results of work on stretches (first, one past the last) of some items, in order."""
+    """Return the results of work on successive ranges of items, in order.
+
+    Parameters
+    ----------
+    work : callable
+        Function of a range: the first item, and one past the last.
+    items : int
+        Number of items.
+    parts : int
+        Number of ranges, at most.
+    threads : int
+        Threads that share the ranges.
+
+    Returns
+    -------
+    list
+        A result for each range.
+    """
     edges = np.linspace(0, items, max(1, min(parts, items)) + 1).round().astype(int).tolist()
     stretches = list(itertools.pairwise(edges))
     if threads == 1 or len(stretches) == 1:
@@ -66,13 +82,16 @@ if hasattr(os, "register_at_fork"):  # a forked process has the pool but not its
 
 @dataclass(frozen=True)
 class Photons:
-    """Arrival times of pixels, one pixel after another.
+    """Arrival times of photons, one pixel after another.
 
     Attributes
     ----------
-    starts : int64 (pixel + 1,) first entry of each pixel.
-    times_ns : (entry,) within the period, the pixel's own delay taken off.
-    weights : (entry,) photons that share the time.
+    starts : ndarray of int64, shape (pixel + 1,)
+        First entry of each pixel.
+    times_ns : ndarray of float32, shape (entry,)
+        Time within the period, minus the delay of the pixel itself.
+    weights : ndarray of float32, shape (entry,)
+        Photons that share the time.
     """
 
     starts: NDArray[np.int64]
@@ -94,14 +113,36 @@ class Photons:
         return {"starts": self.starts, "times": self.times_ns, "weights": self.weights}
 
     def part(self, stretch: tuple[int, int]) -> Photons:
-        """Photons of a stretch of pixels."""
+        """Return the photons of a range of pixels.
+
+        Parameters
+        ----------
+        stretch : tuple of int
+            First pixel, and one past the last.
+
+        Returns
+        -------
+        Photons
+            Their photons.
+        """
         starts = self.starts[stretch[0] : stretch[1] + 1]
         entries = slice(starts[0], starts[-1])
         return Photons(starts - starts[0], self.times_ns[entries], self.weights[entries])
 
     @classmethod
     def joined(cls, parts: Sequence[Photons]) -> Photons:
-        """Photons of stretches one after another."""
+        """Join the photons of successive ranges.
+
+        Parameters
+        ----------
+        parts : sequence of Photons
+            Photons of each range.
+
+        Returns
+        -------
+        Photons
+            Photons of all pixels.
+        """
         before = np.cumsum([0] + [part.times_ns.size for part in parts[:-1]])
         starts = [part.starts[1:] + first for part, first in zip(parts, before, strict=True)]
         return cls(
@@ -111,20 +152,41 @@ class Photons:
         )
 
     def sums(self, values: NDArray[np.floating]) -> Floats:
-        """(pixel,) sums of (entry,) values."""
+        """Sum values of entries over each pixel.
+
+        Parameters
+        ----------
+        values : ndarray of float, shape (entry,)
+            A value for each entry.
+
+        Returns
+        -------
+        ndarray of float32, shape (pixel,)
+            Sums.
+        """
         return np.bincount(self.owners, values, self.pixels).astype(np.float32)
 
 
 def list_photons(
     counts: NDArray[Any], times_ns: Floats, offsets_ns: Floats, period_ns: float
 ) -> Photons:
-    """Photons of histograms.
+    """List the photons of histograms.
 
     Parameters
     ----------
-    counts : (pixel, code).
-    times_ns : (code,) arrival that a code stands for, below 0 for codes that are no photon.
-    offsets_ns : (pixel,) delay of the pixel's own.
+    counts : ndarray, shape (pixel, code)
+        Counts, raw codes on the last axis.
+    times_ns : ndarray of float32, shape (code,)
+        Arrival that a code stands for, below 0 for codes that are no photon.
+    offsets_ns : ndarray of float32, shape (pixel,)
+        Delay of the pixel itself.
+    period_ns : float
+        Time after which pulses repeat.
+
+    Returns
+    -------
+    Photons
+        Arrival times.
     """
     period = np.array([period_ns], np.float32)
     native = backend.compiled("pooled")
@@ -163,7 +225,24 @@ def list_photons(
 def lag_likelihood(
     photons: Photons, table: Floats, cells_per_ns: float, lags: NDArray[np.int32]
 ) -> Floats:
-    """Log-likelihood (pixel, lag) of delays of whole cells of a table (cell,) of the circle."""
+    """Compute the log-likelihood of delays.
+
+    Parameters
+    ----------
+    photons : Photons
+        Photons of all pixels.
+    table : ndarray of float32, shape (cell,)
+        Log-likelihood of a photon in each cell of the period.
+    cells_per_ns : float
+        Cells of the table per ns.
+    lags : ndarray of int32, shape (lag,)
+        Delays in whole cells.
+
+    Returns
+    -------
+    ndarray of float32, shape (pixel, lag)
+        Log-likelihood.
+    """
     result = np.zeros((photons.pixels, lags.size), np.float32)
     native = backend.compiled("pooled")
     if native is not None:
@@ -181,7 +260,26 @@ def lag_likelihood(
 def window_counts(
     photons: Photons, delays_ns: Floats, windows: NDArray[np.int8], cells_per_ns: float, count: int
 ) -> Floats:
-    """Photons (window, pixel) by the window (cell,) that their time after the delay falls into."""
+    """Count photons by the window that their time after a delay falls into.
+
+    Parameters
+    ----------
+    photons : Photons
+        Photons of all pixels.
+    delays_ns : ndarray of float32, shape (pixel,)
+        Delay of each pixel.
+    windows : ndarray of int8, shape (cell,)
+        Window that each cell belongs to.
+    cells_per_ns : float
+        Cells per ns.
+    count : int
+        Number of windows.
+
+    Returns
+    -------
+    ndarray of float32, shape (window, pixel)
+        Photons.
+    """
     result = np.zeros((count, photons.pixels), np.float32)
     native = backend.compiled("pooled")
     if native is not None:
@@ -209,13 +307,29 @@ def scores(
     amplitudes: Floats,
     floors: Floats,
 ) -> tuple[Floats, Floats]:
-    """Score (pixel,) of the delay and what its photons tell of it.
+    """Compute the derivative of the log-likelihood by the delay, and the information on it.
 
     Parameters
     ----------
-    shares, slopes : (cell, band) waveforms per ns and their derivative by time.
-    amplitudes : (pixel, band).
-    floors : (pixel,) background per ns.
+    photons : Photons
+        Photons of all pixels.
+    delays_ns : ndarray of float32, shape (pixel,)
+        Delay of each pixel.
+    shares, slopes : ndarray of float32, shape (cell, band)
+        Waveforms per ns, and their derivative by time.
+    cells_per_ns : float
+        Cells per ns.
+    amplitudes : ndarray of float32, shape (pixel, band)
+        Photons of each band.
+    floors : ndarray of float32, shape (pixel,)
+        Background per ns.
+
+    Returns
+    -------
+    score : ndarray of float32, shape (pixel,)
+        Derivative of the log-likelihood, per ns.
+    information : ndarray of float32, shape (pixel,)
+        Fisher information, per ns².
     """
     native = backend.compiled("pooled")
     if native is not None:
@@ -258,9 +372,12 @@ class Pooled:
 
     Attributes
     ----------
-    sums : (plane, row, col), each neighbor's data times its weight.
-    weight, squares : (row, col) sums of the weights and of their squares.
-    depth_squares : (row, col) sum of the squares of the weights that hold for the depth.
+    sums : ndarray of float32, shape (plane, row, col)
+        Data of the neighbors, each times its weight.
+    weight, squares : ndarray of float32, shape (row, col)
+        Sums of the weights and of their squares.
+    depth_squares : ndarray of float32, shape (row, col)
+        Sum of the squares of the weights for the depth.
     """
 
     sums: Floats
@@ -271,14 +388,18 @@ class Pooled:
 
 @dataclass(frozen=True)
 class Likeness:
-    """What a pixel's pool so far says of it, by which neighbors are judged.
+    """What is known of each pixel so far, by which neighbors are compared.
 
     Attributes
     ----------
-    means : (group, row, col) photons per pixel in groups of bands.
-    delays_ns : (row, col).
-    pixels : (row, col) so many count in the pool so far.
-    information : (row, col) of the pool on the delay, per ns².
+    means : ndarray of float32, shape (group, row, col)
+        Photons per pixel in groups of bands.
+    delays_ns : ndarray of float32, shape (row, col)
+        Delay.
+    pixels : ndarray of float32, shape (row, col)
+        Number of pixels in the pool so far.
+    information : ndarray of float32, shape (row, col)
+        Fisher information of the pool on the delay, per ns².
     """
 
     means: Floats
@@ -289,12 +410,16 @@ class Likeness:
 
 @dataclass(frozen=True)
 class Limits:
-    """Log-likelihood ratio at which a neighbor no longer counts at all.
+    """Log-likelihood ratios at which a neighbor counts no longer.
 
     Attributes
     ----------
-    color : for the spectrum; depth_color : for the depth, where it is about another color;
-    depth : for either, where it is about another depth.
+    color : float
+        Of the spectrum, for the weights of spectra.
+    depth_color : float
+        Of the spectrum, for the weights of depth.
+    depth : float
+        Of the depth, for both.
     """
 
     color: float
@@ -303,7 +428,20 @@ class Limits:
 
 
 def neighbors(radius: float) -> tuple[NDArray[np.int32], Floats]:
-    """Steps (neighbor, 2) in row and col within a radius, and the kernel 1 − (d/radius)²."""
+    """Return the neighbors within a radius.
+
+    Parameters
+    ----------
+    radius : float
+        Radius in pixels.
+
+    Returns
+    -------
+    steps : ndarray of int32, shape (neighbor, 2)
+        Rows and columns from the pixel.
+    kernel : ndarray of float32, shape (neighbor,)
+        Weight 1 − (distance / radius)².
+    """
     reach = int(np.ceil(radius))
     steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
     kernel = 1 - (steps**2).sum(axis=-1) / radius**2
@@ -322,16 +460,32 @@ def pool(
     *,
     threads: int = 1,
 ) -> Pooled:
-    """Sums over the neighbors that look alike.
+    """Sum data over the neighbors that look alike.
 
     Parameters
     ----------
-    data : (plane, row, col); the first `spectral` planes are summed with the weights for
-        spectra, the others with those for the depth.
-    valid : (row, col) pixels that may lend.
-    active : (row, col) pixels that are asked for; others may be left at 0.
-    like : what is known so far.
-    radius : in pixels.
+    data : ndarray of float32, shape (plane, row, col)
+        Data to sum.
+    spectral : int
+        Number of planes, the first ones, that are summed with the weights for spectra; the others
+        are summed with those for depth.
+    valid : ndarray of bool, shape (row, col)
+        Pixels that may contribute.
+    active : ndarray of bool, shape (row, col)
+        Pixels that are asked for; others may be left at 0.
+    like : Likeness
+        What is known so far.
+    radius : float
+        Radius in pixels.
+    limits : Limits
+        Where neighbors count no longer.
+    threads : int
+        Threads that share the rows.
+
+    Returns
+    -------
+    Pooled
+        Sums over neighbors.
     """
     planes, rows, cols = data.shape
     steps, kernel = neighbors(radius)
@@ -400,7 +554,7 @@ def _pool_rows(
     trust: Floats,
     information: Floats,
 ) -> Floats:
-    """The definition: rows of `pool`."""
+    """Compute rows of `pool`: the NumPy definition."""
 
     def moved(values: Floats, row: int, col: int) -> Floats:
         return values[

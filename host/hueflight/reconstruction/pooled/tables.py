@@ -1,4 +1,4 @@
-"""Waveforms on the cells of the circle, and the windows that each band has to itself in it."""
+"""Waveforms over the period, and the window in it that each band has to itself."""
 
 from __future__ import annotations
 
@@ -19,18 +19,26 @@ LIT = 0.02  #: of its peak: where a pulse is weaker, the window is background's
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """Waveforms on the cells of the circle, as they arrive from the reference.
+    """Waveforms on the cells of the period, as they arrive from the reference.
 
     Attributes
     ----------
-    period_ns, cells_per_ns : the circle and its cells.
-    fwhm_ns : of the shortest pulse.
-    shares, slopes : (cell, band) light per ns and its derivative by time.
-    white : (band,) share of each in the light of a white target.
-    windows : (cell,) band whose pulse is strongest there, or one more for the background.
-    unmixing : (band + 1, window) from photons in windows to amplitudes and background.
-    groups : (window, group) 1 where a window belongs to a group.
-    quiet : (cell,) where no delay within the search brings light.
+    period_ns, cells_per_ns : float
+        The period, and cells per ns.
+    fwhm_ns : float
+        Width of the shortest pulse at half its maximum.
+    shares, slopes : ndarray of float32, shape (cell, band)
+        Light per ns, and its derivative by time.
+    white : ndarray of float, shape (band,)
+        Share of each band in the light of a white target.
+    windows : ndarray of int8, shape (cell,)
+        Band whose pulse is strongest in the cell, or one more for the background.
+    unmixing : ndarray of float32, shape (band + 1, window)
+        Conversion from photons in windows to amplitudes and background.
+    groups : ndarray of float32, shape (window, group)
+        1 where a window belongs to a group of bands.
+    quiet : ndarray of bool, shape (cell,)
+        True where no delay within the search brings light.
     """
 
     period_ns: float
@@ -54,7 +62,20 @@ _tables: WeakKeyDictionary[Calibration, dict[tuple[float, float], Tables]] = Wea
 
 
 def tables_for(calibration: Calibration, search_ns: tuple[float, float]) -> Tables:
-    """Tables of a calibration; made once and kept as long as it lives."""
+    """Return the tables for a calibration, which are kept as long as it lives.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+    search_ns : tuple of float
+        Least and greatest delay.
+
+    Returns
+    -------
+    Tables
+        Waveforms of the instrument.
+    """
     made = _tables.setdefault(calibration, {})
     if search_ns not in made:
         made[search_ns] = _make_tables(calibration, search_ns)

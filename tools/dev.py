@@ -2,7 +2,7 @@
 """Set up, demonstrate, test and benchmark Hueflight with nothing but Python 3.11.
 
     python3 tools/dev.py demo            the simulated instrument, end to end, as a report
-    python3 tools/dev.py test [--full]   lint, types and tests; --full adds the slow ones
+    python3 tools/dev.py test [--full]   lint, format, types, tests; --full adds the slow ones
     python3 tools/dev.py bench NAME      a benchmark of tools/bench
     python3 tools/dev.py run ARG...      any command inside the environment
 
@@ -73,10 +73,11 @@ def demo(arguments: list[str]) -> None:
 
 
 def test(arguments: list[str]) -> None:
-    """Lint, types, tests. Further words go to pytest (a path, -k ...)."""
+    """Lint, format, types, tests. Further words go to pytest (a path, -k ...)."""
     full = "--full" in arguments or bool(os.environ.get("CI"))
     chosen = [word for word in arguments if word != "--full"]
     run([str(BIN / "ruff"), "check", "."])
+    run([str(BIN / "ruff"), "format", "--check", "--quiet", "."])
     run([str(BIN / "basedpyright"), "--level", "error"])
     workers = ["-n", str(os.cpu_count() or 1), "--dist", "loadfile", "--no-loadscope-reorder"]
     run([str(BIN / "pytest"), *workers, *(["--full", "--durations=30"] if full else []), *chosen])

@@ -1,9 +1,9 @@
-"""Code that readers see is code that ran: a directive that executes it while the pages are built.
+"""A directive that executes the code of a page while the documentation is built.
 
-A block in a page, marked ``{run} python``, ``{run} bash`` or ``{run} text`` with ``:file: NAME``,
-is executed in order with the other blocks of that page: Python in one interpreter's namespace,
-shell commands and files in one temporary folder. What it prints and what it draws with Matplotlib
-appear below it. A block that fails ends the build.
+The blocks of a page that are marked ``{run} python`` or ``{run} bash`` are executed in their order:
+Python code in one namespace, shell commands in one temporary folder. A block with ``:file: NAME``
+is written to that file in the folder instead. Output and Matplotlib figures appear below the block.
+A block that fails makes the build fail.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LONGEST_SECONDS = 300
 
 
 class Page:
-    """What the blocks of one page share."""
+    """Namespace, temporary folder and figures that the blocks of one page share."""
 
     def __init__(self, files: list[Path]) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="hueflight-docs-"))
@@ -39,7 +39,7 @@ class Page:
             shutil.copy(file, self.folder)
 
     def run_python(self, code: str, where: str) -> str:
-        """What the code printed."""
+        """Execute Python code and return what it printed."""
         printed = io.StringIO()
         before = Path.cwd()
         os.chdir(self.folder)
@@ -51,7 +51,7 @@ class Page:
         return printed.getvalue()
 
     def run_bash(self, code: str) -> str:
-        """What the commands printed; the first that fails ends them."""
+        """Execute shell commands until one fails and return what they printed."""
         path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
         with subprocess.Popen(
             ["bash", "-euo", "pipefail", "-c", code],
@@ -66,7 +66,7 @@ class Page:
             try:
                 printed, _ = shell.communicate(timeout=LONGEST_SECONDS)
             except subprocess.TimeoutExpired:
-                # what the commands started holds the pipe too: the whole group goes
+                # programs that the commands started hold the pipe too: end the whole group
                 os.killpg(shell.pid, signal.SIGKILL)
                 raise
         if shell.returncode:
@@ -74,7 +74,7 @@ class Page:
         return printed
 
     def new_figures(self, folder: Path, stem: str) -> list[str]:
-        """Save open figures into `folder`; their file names."""
+        """Save open figures into `folder` and return their file names."""
         if "matplotlib" not in sys.modules:
             return []
         from matplotlib import pyplot
@@ -90,7 +90,7 @@ class Page:
 
 
 class Run(SphinxDirective):
-    """``{run} LANGUAGE``; option ``file`` writes the block there instead of running it."""
+    """The directive ``{run} LANGUAGE``."""
 
     has_content = True
     required_arguments = 1
@@ -101,7 +101,7 @@ class Run(SphinxDirective):
     }
 
     def run(self) -> list[nodes.Node]:
-        """The code, what it printed and what it drew."""
+        """Return nodes for the code, its output and its figures."""
         language, code = self.arguments[0], "\n".join(self.content)
         page = self._page()
         source, line = self.get_source_info()
@@ -118,7 +118,7 @@ class Run(SphinxDirective):
                 printed = page.run_bash(code)
             else:
                 raise self.error(f"{language!r} can't be run: python or bash")
-        except Exception:  # whatever the page's code raises is a fault of the page
+        except Exception:  # any exception is a fault of the page
             raise self.severe(f"a block failed:\n{traceback.format_exc(limit=-3)}") from None
         if printed.strip() and "hide-output" not in self.options:
             result.append(nodes.literal_block(printed, printed, language="text"))
@@ -149,5 +149,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_config_value("executed_files", [], "env", list)
     app.add_directive("run", Run)
     app.connect("doctree-read", clean_up)
-    # a page owns its figures and its folder, so pages may be read side by side
+    # pages share neither figures nor folders, so that they may be read in parallel
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

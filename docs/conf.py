@@ -1,6 +1,7 @@
 """Configuration of the documentation; ``python -m sphinx -W docs out/docs`` builds it."""
 
 import os
+import re
 import sys
 from importlib import import_module
 from importlib.metadata import version as installed_version
@@ -51,7 +52,7 @@ napoleon_use_rtype = False
 napoleon_custom_sections = [("Attributes", "params_style")]
 
 
-def shorten_factories(
+def readable_signature(
     _app: Sphinx,
     _what: str,
     _name: str,
@@ -59,11 +60,13 @@ def shorten_factories(
     _options: Any,
     signature: str | None,
     returns: str | None,
-) -> tuple[str, str | None] | None:
-    """Write ``...`` for defaults that a dataclass computes, so that signatures are valid Python."""
-    if not signature or "<factory>" not in signature:
-        return None
-    return signature.replace("<factory>", "..."), returns
+) -> tuple[str | None, str | None]:
+    """Write aliases by their names, also in unions, and ``...`` for defaults that are computed."""
+
+    def readable(text: str | None) -> str | None:
+        return text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text)
+
+    return readable(signature and signature.replace("<factory>", "...")), readable(returns)
 
 
 def is_described_elsewhere(
@@ -84,5 +87,5 @@ def is_described_elsewhere(
 
 def setup(app: Sphinx) -> None:
     """Connect the handlers."""
-    app.connect("autodoc-process-signature", shorten_factories)
+    app.connect("autodoc-process-signature", readable_signature)
     app.connect("autodoc-skip-member", is_described_elsewhere)

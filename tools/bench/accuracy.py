@@ -184,32 +184,32 @@ def _limits(found: Results) -> str:
     rows = [
         ["depth RMSE ÷ bound, ≥ 600 photons", "≤ 1.02",
          f"{worst(ratio, lambda c: some(c, bright, up_to_1)):.3f}"],
-        ["the same, 200 photons, background up to 1:1", "≤ 1.06",
+        ["depth RMSE ÷ bound, 200 photons, background up to 1:1", "≤ 1.06",
          f"{worst(ratio, lambda c: some(c, [200], up_to_1)):.3f}"],
-        ["the same, 50 and 100 photons", "≤ 1.25",
+        ["depth RMSE ÷ bound, 50 and 100 photons", "≤ 1.25",
          f"{worst(ratio, lambda c: some(c, [50, 100], up_to_1)):.3f}"],
-        ["mislocks, 50 and 100 photons (worst cell)", "< 0.5 %",
+        ["mislocks, 50 and 100 photons, worst cell", "< 0.5 %",
          f"{100 * worst(mislocks, lambda c: some(c, [50, 100], up_to_1)):.2f} %"],
-        ["depth bias with colour, 6 ns tails, 620 photons", "≤ 1 mm",
+        ["depth bias by colour, 6 ns tails, 620 photons", "≤ 1 mm",
          depth_bias(lambda c: some(c, [620], up_to_1) and c.tail_ns == 6)],
-        ["the same, 200 photons", "≤ 2 mm",
+        ["depth bias by colour, 6 ns tails, 200 photons", "≤ 2 mm",
          depth_bias(lambda c: some(c, [200], up_to_1) and c.tail_ns == 6)],
         ["reflectance bias ÷ brightest band, 620 photons, background up to 30 %", "≤ 1 %",
          band_bias(lambda c: some(c, [620], up_to_03))],
-        ["the same, 200 photons", "≤ 1 %",
+        ["reflectance bias ÷ brightest band, 200 photons, background up to 30 %", "≤ 1 %",
          band_bias(lambda c: some(c, [200], up_to_03))],
         ["reflectance spread ÷ bound, ≥ 600 photons", "≤ 1.05",
          f"{worst(band_spread, lambda c: some(c, bright, up_to_1)):.3f}"],
         ["depth within its 68 / 95 % interval, ≥ 600 photons", "66–70 / 94–96 %",
          f"{depth[0]:.1f} / {depth[1]:.1f} %"],
-        ["reflectance within its, lowest and highest band", "66–70 / 94–96 %",
+        ["reflectance within its 68 / 95 % interval, lowest and highest band", "66–70 / 94–96 %",
          f"{pooled[:, 0].min():.1f}–{pooled[:, 0].max():.1f} / "
          f"{pooled[:, 1].min():.1f}–{pooled[:, 1].max():.1f} %"],
-        ["the same, lowest and highest band of a single cell", "",
+        ["reflectance within its interval, lowest and highest band of a single cell", "",
          f"{bands[..., 0].min():.1f}–{bands[..., 0].max():.1f} / "
          f"{bands[..., 1].min():.1f}–{bands[..., 1].max():.1f} %"],
     ]  # fmt: skip
-    return table(["`joint`, worst colour and tail", "must", "measured"], rows)
+    return table(["`joint`, worst colour and tail", "limit", "measured"], rows)
 
 
 def _depths(some: list[Outcome]) -> str:

@@ -141,8 +141,8 @@ def skips(calibration: Calibration) -> None:
     contenders: dict[str, Callable[[], object]] = {
         "all skips off": image(full, skips=NO_SKIPS),
         "all skips, nothing to skip": image(full),
-        "rough steps on": image(full, skips=Skips(switches=FitOptions(wide_first=True))),
-        "settling off": image(full, skips=Skips(switches=FitOptions(settle=False))),
+        "steps at wide bins on": image(full, skips=Skips(switches=FitOptions(wide_first=True))),
+        "early end off": image(full, skips=Skips(switches=FitOptions(settle=False))),
         "depth target met everywhere": image(full, skips=Skips(depth_target=2 * known)),
         "region: a tenth": image(full, region=tenth),
         "bands: three of nine": image(full, bands=[1, 4, 7]),

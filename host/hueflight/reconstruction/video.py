@@ -105,7 +105,7 @@ class Video:
         frames: ArrayLike | None = None,
         due: NDArray[np.bool_] | None = None,
     ) -> xr.Dataset:
-        """Return the image of the next histogram; pixels that kept their result are flagged skipped.
+        """Return the image of the next histogram; kept pixels are flagged skipped.
 
         Parameters
         ----------

@@ -1,7 +1,12 @@
-/* Whether a pixel's counts still are what they were when it was fitted; see changes.py. */
+/* Whether a pixel's counts still are what they were when it was fitted; change_detection.py is the
+ * definition. */
 
-/* Floats of a half of what is remembered of a pixel. */
-INLINE size_t reference_size(const ModelTables *tables) { return (size_t)(tables->wide.bins + REFERENCE_MULTIPLE - 1) / REFERENCE_MULTIPLE * REFERENCE_MULTIPLE; }
+/* Floats in each half of a pixel's change reference. */
+INLINE size_t reference_size(const ModelTables *tables)
+{
+    size_t bins = (size_t)tables->wide.bins, multiple = REFERENCE_MULTIPLE;
+    return (bins + multiple - 1) / multiple * multiple;
+}
 
 /* Counts of one pixel at the bins of the search. */
 INLINE const float *wide_counts(const ModelTables *tables, const Light *light, size_t pixel,
@@ -18,17 +23,17 @@ INLINE const float *wide_counts(const ModelTables *tables, const Light *light, s
     return scratch->wide;
 }
 
-/* Asks for what is remembered of a pixel ahead of its use. */
+/* Prefetches a pixel's change reference. */
 INLINE void fetch_reference(const float *memory, size_t room)
 {
     for (size_t at = 0; at < room; at += 16)
         __builtin_prefetch(memory + at);
 }
 
-/* What is remembered of a pixel: its counts, and how the fit's expected counts change with the delay,
- * relative to themselves. */
-INLINE void change_reference(const ModelTables *tables, const float *counts, float delay, const float *fitted,
-                     float background, vec *work, float *memory)
+/* Change reference of a pixel: its counts, and the derivative of the fit's expected counts by the
+ * delay, relative to themselves. */
+INLINE void change_reference(const ModelTables *tables, const float *counts, float delay,
+                             const float *fitted, float background, vec *work, float *memory)
 {
     const DelayTables *level = &tables->wide;
     float amplitudes[MOST_BANDS];
@@ -46,10 +51,10 @@ INLINE void change_reference(const ModelTables *tables, const float *counts, flo
         store(steep + v * LANES, work[level->blocks + v] / work[v]);
 }
 
-/* Greatest change_significance between counts now and those remembered in units of its own deviation: of all
- * counts, of each band's zone, and along the derivative by the delay. */
-INLINE float change_significance(const ModelTables *tables, const float *now, const float *memory, float scale,
-                      float delay, vec *apart, vec *spreads)
+/* Greatest difference between counts now and at the last fit, in units of its standard deviation: of
+ * all counts, of each band's zone, and along the derivative by the delay. */
+INLINE float change_significance(const ModelTables *tables, const float *now, const float *memory,
+                                 float scale, float delay, vec *apart, vec *spreads)
 {
     const SearchTables *search = &tables->search;
     const float *steepness = memory + reference_size(tables);

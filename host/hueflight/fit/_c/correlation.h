@@ -1,5 +1,5 @@
-/* Correlation of LANES pixels with their references, side by side. Counts are whole numbers, so that
- * sums of them are exact. */
+/* Correlation of LANES pixels at once with their references. Counts are whole numbers, so that sums
+ * of them are exact. */
 
 /* What all pixels share. Lags are counted from −most to most; references are continued around the
  * circle by `most` bins on both sides. */
@@ -27,7 +27,7 @@ typedef struct {
     const char *light[LANES], *reference[LANES]; /* first bins */
     const char *next[2 * LANES]; /* lowest places of what is read next */
     int narrow;    /* factors are pairs of neighbouring bins of 15 bits, otherwise floats */
-    int low, high; /* the lags known as yet */
+    int low, high; /* lags that are computed already */
 } Group;
 
 /* Where these pixels and the next have their counts; the last once more in lanes that are left. */
@@ -48,8 +48,8 @@ INLINE void find_rows(const Paper *paper, Group *group, const Light *light, cons
     }
 }
 
-/* Asks for a part of what is read next, the `i`-th of as many as there are bins; asked for too many
- * at a time, processors forget some. */
+/* Prefetches the `i`-th part of what is read next; there are as many parts as bins. Processors drop
+ * some of too many prefetches at a time. */
 INLINE void fetch_next(const Group *group, size_t i)
 {
     __builtin_prefetch(group->next[i % (2 * LANES)] + i / (2 * LANES) * 64);
@@ -101,7 +101,7 @@ INLINE void make_floats(const Paper *paper, Group *group, const Light *light)
     group->second[-1] = (ivec){0};
 }
 
-/* Running sums and factors of these pixels; no lag is known as yet. */
+/* Running sums and factors of these pixels; no lag is computed yet. */
 INLINE void prepare_group(const Paper *paper, Group *group, const Light *light)
 {
     int bins = paper->bins;
@@ -152,7 +152,7 @@ INLINE void correlate(const Paper *paper, const Group *group, int from, int to)
         group->correlation[lag] = __builtin_convertvector((ivec)group->correlation[lag], vec);
 }
 
-/* Makes the lags from `from` up to `to` known; returns whether some were not. */
+/* Computes the lags from `from` up to `to`; returns whether some were missing. */
 INLINE int extend(const Paper *paper, Group *group, int from, int to)
 {
     int low = group->low, high = group->high;

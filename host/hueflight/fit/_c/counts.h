@@ -1,4 +1,4 @@
-/* Counts as they lie in memory: read, summed, freed of what early photons hid. */
+/* Counts in memory: reading, summing, and the correction of pile-up. */
 
 /* Where counts lie, and of which type: 'H', 'I' or 'f'. */
 typedef struct {
@@ -63,7 +63,7 @@ INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
             to[i] = *(const float *)(from + i * by);
 }
 
-/* Asks for a pixel's counts ahead of their use. */
+/* Prefetches a pixel's counts. */
 INLINE void fetch(const Light *light, size_t pixel, int bins)
 {
     const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
@@ -91,8 +91,8 @@ INLINE int fours(const float *from, int count, float *to)
     return j;
 }
 
-/* The same of counts of 16 bits in memory, `backwards` the last first, and of the rest that makes no
- * four: all of a pixel's bins at once. */
+/* The same for all of a pixel's bins, from 16-bit counts in memory, `backwards` from the last one; the
+ * last sum may be of fewer than four. */
 INLINE void fours_of_16(const uint16_t *low, int bins, int backwards, float *to)
 {
     typedef uint64_t groups __attribute__((vector_size(4 * LANES), aligned(2)));
@@ -205,8 +205,8 @@ INLINE vec exponential(vec x)
     return series * (vec)((n + 127) << 23);
 }
 
-/* Counts as if early photons of a period had not kept later ones from being seen; see pileup.py.
- * Both arrays have room for whole vectors. */
+/* Counts as if early photons of a period had not hidden later ones (Coates, 1968); see
+ * coates_correction in pileup.py. Both arrays have room for whole vectors. */
 INLINE void coates_correct(float *counts, int bins, float rate, float *earlier)
 {
     int blocks = (bins + LANES - 1) / LANES;

@@ -13,7 +13,7 @@ typedef struct {
     Candidate *candidates;
 } Scratch;
 
-/* Steps of scoring at the full bin width until every candidate has settled. */
+/* Steps of scoring at the fine bins until every candidate has settled. */
 INLINE void settle(const ModelTables *tables, const Scratch *scratch, const float *totals,
                    const float *offsets, Candidate **candidates, int count)
 {
@@ -23,7 +23,8 @@ INLINE void settle(const ModelTables *tables, const Scratch *scratch, const floa
     if (rules->starts_wide)
         for (int i = 0; i < count; i += LANES)
             step(tables, &tables->wide, scratch->wide, scratch->wide_stride, totals, offsets,
-                 candidates + i, count - i < LANES ? count - i : LANES, scratch->work, scratch->equations, moved);
+                 candidates + i, count - i < LANES ? count - i : LANES, scratch->work,
+                 scratch->equations, moved);
     int left = 0;
     for (int i = 0; i < count; i++)
         if (!rules->starts_wide || sqrtf(candidates[i]->variance) > rules->target_ns)
@@ -47,7 +48,7 @@ INLINE void settle(const ModelTables *tables, const Scratch *scratch, const floa
     }
 }
 
-/* Between a pixel's two candidates: the likelier is kept, the other told if it is nearly as likely. */
+/* Keeps the likelier of a pixel's two candidates, and reports the other if it is nearly as likely. */
 INLINE void decide(const ModelTables *tables, const float *counts, float total, Candidate *mine,
                    const Candidate *alternative, vec *work, float *other)
 {
@@ -67,8 +68,8 @@ INLINE void decide(const ModelTables *tables, const float *counts, float total, 
 }
 
 /* Counts of one pixel at all bin widths; returns their sum. */
-INLINE float prepare(const ModelTables *tables, const Light *light, size_t pixel, float rate, int place,
-                     const Scratch *scratch)
+INLINE float prepare(const ModelTables *tables, const Light *light, size_t pixel, float rate,
+                     int place, const Scratch *scratch)
 {
     float *fine = scratch->fine + (size_t)place * scratch->fine_stride;
     float *wide = scratch->wide + (size_t)place * scratch->wide_stride;
@@ -102,7 +103,7 @@ INLINE void fit_tile(const ModelTables *tables, const Light *light, const int64_
         totals[p] = prepare(tables, light, (size_t)which[first + (size_t)p],
                             rates ? rates[first + (size_t)p] : 0, p, scratch);
     }
-    for (int p = count; p % BATCH; p++) { /* to make up the last batch */
+    for (int p = count; p % BATCH; p++) { /* fill up the last batch */
         local[p] = local[count - 1];
         totals[p] = totals[count - 1];
     }
@@ -155,13 +156,13 @@ INLINE void fit_tile(const ModelTables *tables, const Light *light, const int64_
     }
 }
 
-static void fit_pixels(const ModelTables *tables, const Light *light, const int64_t *which, size_t pixels,
-                       const float *offsets, const float *rates, const Results *results,
-                       const Scratch *scratch)
+static void fit_pixels(const ModelTables *tables, const Light *light, const int64_t *which,
+                       size_t pixels, const float *offsets, const float *rates,
+                       const Results *results, const Scratch *scratch)
 {
     for (size_t first = 0; first < pixels; first += TILE) {
         size_t left = pixels - first;
-        fit_tile(tables, light, which, offsets, rates, first, left < TILE ? (int)left : TILE, results,
-                 scratch);
+        fit_tile(tables, light, which, offsets, rates, first, left < TILE ? (int)left : TILE,
+                 results, scratch);
     }
 }

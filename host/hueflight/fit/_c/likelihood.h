@@ -1,4 +1,4 @@
-/* Likelihoods: of two delays of one pixel, and around a maximum where photons are few. */
+/* Likelihoods of two delays of one pixel, and around a maximum where photons are few. */
 
 /* A pixel's bins that hold counts, packed one after another. */
 typedef struct {
@@ -85,8 +85,8 @@ INLINE double best_likelihood(const ModelTables *tables, const float *counts, fl
 }
 
 /* Mean and variance of the delay under the likelihood around its maximum. */
-INLINE void posterior(const ModelTables *tables, const float *counts, float total, const Candidate *candidate,
-                      vec *work, float *delay, float *variance)
+INLINE void posterior(const ModelTables *tables, const float *counts, float total,
+                      const Candidate *candidate, vec *work, float *delay, float *variance)
 {
     const DelayTables *level = &tables->fine;
     const FitRules *rules = &tables->rules;

@@ -1,5 +1,5 @@
-/* The paper's method on LANES pixels side by side: highest correlation, centroid, its deviation,
- * window sums. paper.py is its definition. */
+/* The published method on LANES pixels at once: highest correlation, centroid, its deviation, window
+ * sums. paper.py is the definition. */
 
 /* One place for each pixel. */
 typedef struct {

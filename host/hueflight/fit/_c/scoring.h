@@ -1,5 +1,5 @@
-/* Fisher scoring of as many candidates as a vector has lanes: sums over bins one candidate at a time, a
- * vector of bins at once; then the normal equations of all candidates, one a lane. */
+/* Fisher scoring of as many candidates as a vector has lanes: sums over bins for one candidate at a
+ * time, a vector of bins at once; then the normal equations of all candidates, one in each lane. */
 
 typedef struct {
     vec normal[MOST_SIZE * (MOST_SIZE + 1) / 2]; /* lower triangle, rows one after another */
@@ -48,9 +48,9 @@ enum { SELF, WIDTH, SLOPE, COUNTS, SUMS };
 
 /* Sums of one candidate over all bins, into its lane of the equations. `work` has room for five
  * vectors a block. */
-INLINE void accumulate(const DelayTables *level, const FitRules *rules, const float *counts, float total,
-                       const Candidate *candidate, int bands, int phase, vec *work, Equations *into,
-                       int lane)
+INLINE void accumulate(const DelayTables *level, const FitRules *rules, const float *counts,
+                       float total, const Candidate *candidate, int bands, int phase, vec *work,
+                       Equations *into, int lane)
 {
     float amplitudes[MOST_BANDS];
     for (int k = 0; k < bands; k++)
@@ -197,7 +197,7 @@ INLINE void step(const ModelTables *tables, const DelayTables *level, const floa
     float alike = rules->settled_amplitude * rules->settled_amplitude;
     float range = rules->high_ns - rules->low_ns, widest = 12 / (range * range);
     float here[LANES];
-    for (int lane = 0; lane < LANES; lane++) { /* lanes to spare repeat the first candidate */
+    for (int lane = 0; lane < LANES; lane++) { /* spare lanes repeat the first candidate */
         const Candidate *candidate = candidates[lane < count ? lane : 0];
         if (lane >= count) {
             for (int i = 0; i < AT(size, 0); i++)

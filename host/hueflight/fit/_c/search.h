@@ -3,8 +3,9 @@
 /* Log-likelihood of every lag of BATCH pixels, and which share of background each had; scores
  * outside a pixel's range are −∞. The tables are larger than the nearest cache: what is read of
  * them serves all pixels. */
-INLINE void search_lags(const ModelTables *tables, const float *counts, size_t stride, const float *totals,
-                   const float *offsets, float *scores, int8_t *tried, size_t room)
+INLINE void search_lags(const ModelTables *tables, const float *counts, size_t stride,
+                        const float *totals, const float *offsets, float *scores, int8_t *tried,
+                        size_t room)
 {
     const SearchTables *search = &tables->search;
     const FitRules *rules = &tables->rules;
@@ -74,7 +75,7 @@ INLINE void two_best(const SearchTables *search, const float *scores, int *best,
     }
 }
 
-/* First guess of a candidate: a parabola through three lags, amplitudes from the bands' zones,
+/* First values of a candidate: delay from a parabola through three lags, amplitudes from the bands' zones,
  * background from the bins in none of them. */
 INLINE void start(const ModelTables *tables, const float *counts, float total, const float *scores,
                   const int8_t *tried, int lag, Candidate *candidate)

@@ -1,5 +1,5 @@
-/* Pixels side by side, one in each lane: a vector holds the same bin of LANES pixels, so that sums
- * over bins and shifts between them need nothing from other lanes. */
+/* Transposes counts, so that a vector holds the same bin of LANES pixels, one in each lane: sums over
+ * bins and shifts between them then need nothing from other lanes. */
 #ifdef __SSE2__
 #include <immintrin.h>
 #endif
@@ -85,7 +85,8 @@ INLINE void read_words(const char *const *from, int bytes, int back, ivec *words
 
 /* The words in which counts of each pixel lie next to one another, in time order: those from bin
  * `at` on, as far as they come before `end`. `row` are the pixels' first bins. */
-INLINE void transposed_words(const Light *light, const char *const *row, int at, int end, ivec *words)
+INLINE void transposed_words(const Light *light, const char *const *row, int at, int end,
+                             ivec *words)
 {
     int back = light->bin_step < 0, size = (int)(back ? -light->bin_step : light->bin_step);
     int some = end - at < 4 * LANES / size ? end - at : 4 * LANES / size;
@@ -115,7 +116,8 @@ INLINE int is_dense(const Light *light)
                 = (int32_t)*(const TYPE *)(row[lane] + (at + i) * light->bin_step);
 
 /* 2·LANES counts of each pixel from bin `at` on, or those before `end` and zeros. */
-INLINE void transposed_counts(const Light *light, const char *const *row, int at, int end, ivec *counts)
+INLINE void transposed_counts(const Light *light, const char *const *row, int at, int end,
+                              ivec *counts)
 {
     if (is_dense(light) && light->type == 'H') {
         ivec words[LANES];
@@ -138,7 +140,8 @@ INLINE void transposed_counts(const Light *light, const char *const *row, int at
 }
 
 /* The same as pairs of 16 bits. Returns the bits that some count has, two counts a word. */
-INLINE ivec transposed_pairs(const Light *light, const char *const *row, int at, int end, ivec *pairs)
+INLINE ivec transposed_pairs(const Light *light, const char *const *row, int at, int end,
+                             ivec *pairs)
 {
     ivec seen = {0};
     if (is_dense(light) && light->type == 'H') {

@@ -1,9 +1,8 @@
-/* The tables of a tables, and what pixels are on their way through the fit. See tables.py and fit.py:
- * these are the definition, names here are theirs. */
+/* The tables of the fit as packing.py lays them out, and the state of pixels during the fit. */
 #define MOST_SIZE (MOST_BANDS + 2)
 #define TILE 64        /* pixels at once */
 #define CANDIDATES (2 * TILE)
-#define BATCH 4        /* pixels that search together */
+#define BATCH 4        /* pixels that are searched together */
 
 /* Successive blocks of bins, a vector each, that one band lights. */
 typedef struct {
@@ -48,7 +47,7 @@ typedef struct {
     FitRules rules;
 } ModelTables;
 
-/* One delay on trial for one pixel. */
+/* A delay that one pixel may have, with everything else that is fitted. */
 typedef struct {
     int pixel, steps, live;
     float delay, background, cubic, variance;

@@ -257,7 +257,7 @@ static PyObject *finish(Py_buffer *held, Py_ssize_t count, int fits)
 
 static int64_t items(const Py_buffer *held, size_t size) { return held->len / (int64_t)size; }
 
-/* Pixels whose entries have no room left are counted only, so that starts tells how much is needed. */
+/* Entries of pixels that do not fit are only counted: starts then tells how much room is needed. */
 static PyObject *py_list(PyObject *self, PyObject *args)
 {
     (void)self;
@@ -469,7 +469,8 @@ static PyMethodDef methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_kernels", "Loops of the pooled method, in C.", -1, methods, NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT, "_kernels", "Loops of the pooled method, in C.", -1, methods,
+    NULL, NULL, NULL, NULL,
 };
 
 PyMODINIT_FUNC PyInit__kernels(void)

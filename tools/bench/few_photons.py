@@ -32,7 +32,7 @@ from hueflight.model.schedules import Schedule, ambiguity, design_schedules, una
 from hueflight.reconstruction.bounds import expected_shares
 from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.quality import Quality
-from hueflight.simulator.captures import Kind
+from hueflight.simulator.simulated_captures import Kind
 
 mpl.use("agg")
 import matplotlib.pyplot as plt

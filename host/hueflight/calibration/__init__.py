@@ -1,7 +1,7 @@
 """Calibration: windows, waveforms, gains, delays and defects of one instrument."""
 
 from hueflight.calibration.calibration import Calibration
-from hueflight.calibration.from_captures import calibrate, measured_widths
+from hueflight.calibration.procedure import calibrate, measured_widths
 from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
 from hueflight.model.waveforms import Templates
 

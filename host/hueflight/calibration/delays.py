@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.calibration.defects import find_hot
-from hueflight.calibration.empirical_bayes import shrunk
+from hueflight.calibration.empirical_bayes import shrink_to_line_means
 from hueflight.fit.correlation import correlate, peak_centroid
 from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import ScheduleView, make_tables
@@ -84,7 +84,7 @@ def refined_delays(
     delays, variance = np.zeros_like(delay_ns), np.ones_like(delay_ns)
     delays[usable] = delay_ns[usable] + found.delay_ns
     variance[usable] = found.delay_std_ns**2
-    best, left = shrunk(delays, variance, usable)
+    best, left = shrink_to_line_means(delays, variance, usable)
     best -= np.median(best[usable])
     return np.where(usable, best, 0.0), np.sqrt(np.where(usable, left, 0.0))
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def shrunk(
+def shrink_to_line_means(
     values: NDArray[np.floating], variance: NDArray[np.floating], usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Best guess of each pixel's true value, and the variance that is left.

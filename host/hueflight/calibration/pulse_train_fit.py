@@ -43,7 +43,7 @@ class _Start:
         )
 
 
-def fit_train(
+def fit_pulse_train(
     counts: NDArray[np.float64],
     windows: tuple[PulseWindow, ...],
     instrument: Instrument,

@@ -83,7 +83,7 @@ def find_windows(
     shift = _train_shift(smooth, instrument, bins, distance=distance)
     visible = np.where(smooth > NOISE_MARGIN * noise, smooth, 0.0)
     peaks = _pulse_peaks(visible, instrument, bins, distance=distance, shift=shift)
-    return _parted([PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins)
+    return _separated([PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins)
 
 
 def _train_shift(
@@ -164,10 +164,10 @@ def _grow(light: NDArray[np.float64], peak: int, bins: TimeBins) -> tuple[int, i
     return walk(-1), walk(+1) + 1
 
 
-def _parted(windows: list[PulseWindow], bins: TimeBins) -> tuple[PulseWindow, ...]:
+def _separated(windows: list[PulseWindow], bins: TimeBins) -> tuple[PulseWindow, ...]:
     """The windows, where two overlap cut in the middle of what both claim."""
     order = sorted(range(len(windows)), key=lambda i: windows[i].start)
-    parted = list(windows)
+    separated = list(windows)
     circular = bins.period_ns is not None
     for place, index in enumerate(order):
         last = place == len(order) - 1
@@ -175,12 +175,12 @@ def _parted(windows: list[PulseWindow], bins: TimeBins) -> tuple[PulseWindow, ..
         if following == index or (last and not circular):
             continue
         turn = bins.count if last else 0
-        mine, its = parted[index], parted[following]
+        mine, its = separated[index], separated[following]
         if (overlap := mine.stop - (its.start + turn)) > 0:
             cut = mine.stop - overlap // 2
-            parted[index] = replace(mine, stop=cut)
-            parted[following] = replace(its, start=cut - turn)
-    return tuple(parted)
+            separated[index] = replace(mine, stop=cut)
+            separated[following] = replace(its, start=cut - turn)
+    return tuple(separated)
 
 
 def window_sums(

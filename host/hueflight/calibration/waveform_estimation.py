@@ -1,4 +1,4 @@
-"""Templates from captures: pooled over pixels, one LED at a time or parted from all at once."""
+"""Templates from captures: pooled over pixels, one LED at a time or separated from all at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from hueflight.calibration.pulse_train_fit import fit_train
+from hueflight.calibration.pulse_train_fit import fit_pulse_train
 from hueflight.calibration.pulse_windows import PulseWindow
 from hueflight.errors import CalibrationError
 from hueflight.model.instrument import Instrument
@@ -24,7 +24,7 @@ NOISE_MARGIN = 4.0  #: a waveform ends where it is this many standard deviations
 
 
 @dataclass(frozen=True)
-class Pool:
+class PooledCounts:
     """Counts of many pixels, summed over pixels of equal delay.
 
     Attributes
@@ -43,8 +43,8 @@ class Pool:
         delay_ns: NDArray[np.floating],
         usable: NDArray[np.bool_],
         bins: TimeBins,
-    ) -> Pool:
-        """Pool of the usable pixels of (row, col, bin) counts with delays (row, col)."""
+    ) -> PooledCounts:
+        """PooledCounts of the usable pixels of (row, col, bin) counts with delays (row, col)."""
         step_ns = bins.span_ns / bins.count / DELAY_STEPS_PER_BIN
         steps, group = np.unique(np.rint(delay_ns[usable] / step_ns), return_inverse=True)
         counts = np.zeros((steps.size, light.shape[-1]))
@@ -78,7 +78,7 @@ def templates_from_bands(
     knots = knots_for(instrument, bins)
     coefficients = []
     for band, light in enumerate(captures):
-        pool = Pool.of(light, delay_ns, usable, bins)
+        pool = PooledCounts.of(light, delay_ns, usable, bins)
         name = instrument.bands[band].name
         mine = [window for window in windows if window.band == band]
         _require_own_light(pool, mine, bins, name)
@@ -87,7 +87,7 @@ def templates_from_bands(
     return Templates.normalized(np.array(coefficients), circle_of(bins))
 
 
-def shared_out(
+def fit_overlapping_pulses(
     light: NDArray[np.floating],
     delay_ns: NDArray[np.floating],
     usable: NDArray[np.bool_],
@@ -96,10 +96,10 @@ def shared_out(
     bins: TimeBins,
 ) -> TrainModel:
     """The model by which light with all LEDs on, (row, col, bin), is shared out among bands."""
-    pool = Pool.of(light, delay_ns, usable, bins)
+    pool = PooledCounts.of(light, delay_ns, usable, bins)
     if len(instrument.bands) == 1:
         return [], 0.0  # all light is the one band's
-    return fit_train(pool.aligned(pool.counts, bins), windows, instrument, bins)
+    return fit_pulse_train(pool.aligned(pool.counts, bins), windows, instrument, bins)
 
 
 def templates_from_train(
@@ -117,7 +117,7 @@ def templates_from_train(
     modified Gaussians fitted to the whole train; elsewhere a band keeps what was measured.
     """
     knots = knots_for(instrument, bins)
-    pool = Pool.of(light, delay_ns, usable, bins)
+    pool = PooledCounts.of(light, delay_ns, usable, bins)
     if len(instrument.bands) == 1:
         background = _before_pulses(pool, list(windows), bins)
         name = instrument.bands[0].name
@@ -128,7 +128,7 @@ def templates_from_train(
     for band in range(len(instrument.bands)):
         mine = [window for window in windows if window.band == band]
         share = _proportion(pulses, level, band, pool, bins)
-        part = Pool(pool.counts * share, pool.offsets_ns)
+        part = PooledCounts(pool.counts * share, pool.offsets_ns)
         nothing = np.zeros_like(part.counts)
         name = instrument.bands[band].name
         coefficients.append(_fit(part, nothing, mine, bins, knots, name))
@@ -143,7 +143,7 @@ def brightness_of(
     bins: TimeBins,
 ) -> NDArray[np.float64]:
     """Photons of each band in an average usable pixel, (band,), background taken off."""
-    pool = Pool.of(light, delay_ns, usable, bins)
+    pool = PooledCounts.of(light, delay_ns, usable, bins)
     flat = bins.widths_ns / bins.span_ns
     share = pool.counts.sum(axis=-1) / pool.counts.sum()
     model = np.concatenate(
@@ -164,7 +164,9 @@ def brightness_of(
     return solution[:-1] / usable.sum()
 
 
-def _require_own_light(pool: Pool, windows: list[PulseWindow], bins: TimeBins, name: str) -> None:
+def _require_own_light(
+    pool: PooledCounts, windows: list[PulseWindow], bins: TimeBins, name: str
+) -> None:
     """Refuse a capture whose light is elsewhere than that band's in the reference."""
     counts = pool.aligned(pool.counts, bins)
     excess = counts - np.quantile(counts / bins.widths_ns, 0.25) * bins.widths_ns
@@ -179,7 +181,9 @@ def _require_own_light(pool: Pool, windows: list[PulseWindow], bins: TimeBins, n
         )
 
 
-def _before_pulses(pool: Pool, windows: list[PulseWindow], bins: TimeBins) -> NDArray[np.float64]:
+def _before_pulses(
+    pool: PooledCounts, windows: list[PulseWindow], bins: TimeBins
+) -> NDArray[np.float64]:
     """Flat background (group, bin), from the second half of the dark stretch before a pulse.
 
     A pulse's tail fades for long after it; before its rise is where the circle is darkest.
@@ -204,7 +208,7 @@ def _before_pulses(pool: Pool, windows: list[PulseWindow], bins: TimeBins) -> ND
 
 
 def _fit(
-    pool: Pool,
+    pool: PooledCounts,
     background: NDArray[np.float64],
     windows: list[PulseWindow],
     bins: TimeBins,
@@ -226,7 +230,7 @@ def _fit(
 
 
 def _support(
-    pool: Pool,
+    pool: PooledCounts,
     background: NDArray[np.float64],
     windows: list[PulseWindow],
     bins: TimeBins,
@@ -257,7 +261,7 @@ def _support(
 
 
 def _proportion(
-    pulses: list[tuple[int, Pulse]], level: float, band: int, pool: Pool, bins: TimeBins
+    pulses: list[tuple[int, Pulse]], level: float, band: int, pool: PooledCounts, bins: TimeBins
 ) -> NDArray[np.float64]:
     """Share (group, bin) of the light that is the band's."""
     share = np.empty_like(pool.counts)

@@ -16,7 +16,7 @@ from hueflight.importers.captures import write_counts
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task, tracked
 from hueflight.recording import RecordingWriter
-from hueflight.simulator.captures import Kind
+from hueflight.simulator.simulated_captures import Kind
 
 _LIGHT = simulator.SimulationSettings().white_detections
 

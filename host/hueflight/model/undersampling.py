@@ -19,7 +19,9 @@ def is_resolved(instrument: Instrument, bins: TimeBins) -> bool:
     return shortest_ns >= RESOLVED_BINS_PER_FWHM * bins.span_ns / bins.count
 
 
-def resolved(light: NDArray[Any], instrument: Instrument, bins: TimeBins) -> NDArray[Any]:
+def smooth_undersampled(
+    light: NDArray[Any], instrument: Instrument, bins: TimeBins
+) -> NDArray[Any]:
     """Counts (…, bin) as they are, or averaged 1 : 2 : 1 over neighbours if pulses are too short.
 
     A flank that falls between two bins is only guessed there, and a delay would hang on that

@@ -8,12 +8,15 @@ circle, and their derivatives by delay are exact (de Boor, A Practical Guide to 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from hueflight.model.time_bins import TimeBins
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,8 @@ def design_matrix(
     edges_ns: NDArray[np.floating], knots: int, circle_ns: float
 ) -> sparse.csr_matrix:
     """Integral of every knot's B-spline over every bin, (bin, knot), so that shares = M c."""
+    from scipy import sparse  # slow to import, and reading an instrument does not need it
+
     knot_ns = circle_ns / knots
     position = np.asarray(edges_ns, np.float64) / knot_ns
     bins = position.size - 1

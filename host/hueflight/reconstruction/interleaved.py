@@ -24,7 +24,7 @@ from hueflight.model.histograms import check_histogram, counters_full, frames_pe
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.time_bins import TimeBins
-from hueflight.model.undersampling import resolved
+from hueflight.model.undersampling import smooth_undersampled
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.joint import in_metres, search_range_ns
 from hueflight.reconstruction.quality import Quality
@@ -249,4 +249,4 @@ def _seen(
         light = coates_correction(
             light, photons_per_period(hits, exposures[chosen], calibration.instrument)
         )
-    return resolved(light, calibration.instrument, calibration.bins)
+    return smooth_undersampled(light, calibration.instrument, calibration.bins)

@@ -16,7 +16,7 @@ from hueflight.fit.solver import fit_pixels, photon_sums
 from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
-from hueflight.model.undersampling import is_resolved, resolved
+from hueflight.model.undersampling import is_resolved, smooth_undersampled
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import DEFAULT_SKIPS, EstimatorOptions, Skips
@@ -231,7 +231,9 @@ def fit_chosen(
     if is_resolved(instrument, calibration.bins):
         options = {"pixels": pixels, "per_period": rates, "threads": threads}
         return fit_pixels(light, delays_ns, tables, switches, **options)
-    seen = resolved(coates_correction(light[pixels], rates), instrument, calibration.bins)
+    seen = smooth_undersampled(
+        coates_correction(light[pixels], rates), instrument, calibration.bins
+    )
     return fit_pixels(seen, delays_ns, tables, switches, threads=threads)
 
 

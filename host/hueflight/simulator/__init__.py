@@ -7,19 +7,19 @@
 ((192, 128, 512), 100)
 """
 
-from hueflight.simulator.captures import (
+from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
+from hueflight.simulator.named_scenes import SCENES, scene, scenes
+from hueflight.simulator.probabilities import code_probabilities, probability_tiles
+from hueflight.simulator.sampling import simulate_codes, simulate_histogram
+from hueflight.simulator.scene import NOTHING, Scene, Truth
+from hueflight.simulator.settings import Pixels, SimulationSettings, pixels, time_bins
+from hueflight.simulator.simulated_captures import (
     CAPTURES,
     Exposure,
     exposures,
     simulate_capture,
     simulate_packets,
 )
-from hueflight.simulator.catalog import SCENES, scene, scenes
-from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
-from hueflight.simulator.probabilities import code_probabilities, probability_tiles
-from hueflight.simulator.sampling import simulate_codes, simulate_histogram
-from hueflight.simulator.scene import NOTHING, Scene, Truth
-from hueflight.simulator.settings import Pixels, SimulationSettings, pixels, time_bins
 
 __all__ = [
     "CAPTURES",

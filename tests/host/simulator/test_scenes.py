@@ -8,8 +8,8 @@ from hueflight.color.color_chart import PATCHES, patch_reflectances
 from hueflight.errors import SceneError
 from hueflight.model.spectra import band_weights
 from hueflight.simulator import NOTHING, SCENES, scene, scenes
-from hueflight.simulator.layout import Palette
 from hueflight.simulator.scene import Layer, trace
+from hueflight.simulator.scene_layout import SurfaceTable
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_shadow_of_an_edge_lies_where_similar_triangles_put_it(paper, resized):
     # half plane at 0.5 m left of x = 0, wall at 1 m, one LED at x = +0.1 m: the shadow ends at
     # 0.1 + (0 − 0.1)·(1/0.5) = −0.1 m on the wall
     instrument = resized(paper, 4, 1024, pixel_width_um=2.3)
-    palette = Palette()
+    palette = SurfaceTable()
     grey = palette["grey"]
     layers = (
         Layer(0.5, lambda x, _y: np.where(x < -1e-9, grey, NOTHING)),

@@ -12,7 +12,7 @@ from hueflight.simulator.scene import Layer
 
 
 @dataclass
-class Palette:
+class SurfaceTable:
     """Surfaces in use, numbered in the order of their first use."""
 
     spectra: dict[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -36,12 +36,12 @@ class Palette:
 
 @dataclass(frozen=True)
 class Layout:
-    """Layers in any order, their palette, and which surfaces make up each named region.
+    """Layers in any order, their surfaces, and which surfaces make up each named region.
 
     `gloss` gives glossy surfaces the height of their mirror-like reflection.
     """
 
     layers: tuple[Layer, ...]
-    palette: Palette
+    surfaces: SurfaceTable
     regions: dict[str, tuple[str, ...]]
     gloss: dict[str, float] = field(default_factory=dict)

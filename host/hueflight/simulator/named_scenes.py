@@ -15,9 +15,9 @@ from hueflight.color.color_chart import PATCHES, patch_reflectances
 from hueflight.errors import SceneError
 from hueflight.model.instrument import Instrument
 from hueflight.model.spectra import reflectance
-from hueflight.simulator.bricks import shelf_scene, wall_scene
-from hueflight.simulator.layout import Layout, Palette
+from hueflight.simulator.paper_scenes import shelf_scene, wall_scene
 from hueflight.simulator.scene import NOTHING, Layer, Scene, illuminator_positions, trace
+from hueflight.simulator.scene_layout import Layout, SurfaceTable
 from hueflight.simulator.shapes import Array
 
 
@@ -29,7 +29,7 @@ def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:
     distance : m.
     surface : name of a surface, or a grey reflectance from 0 to 1.
     """
-    palette = Palette()
+    palette = SurfaceTable()
     name = surface if isinstance(surface, str) else f"grey {surface:g}"
     index = palette.add(name, reflectance(surface))
     layer = Layer(distance, lambda x, _y: np.full(np.shape(x), index, dtype=np.intp))
@@ -44,7 +44,7 @@ def color_checker(*, distance: float = 1.0) -> Layout:
     distance : m.
     """
     patch, pitch, rim = 0.040, 0.0455, 0.004
-    palette = Palette()
+    palette = SurfaceTable()
     colors = np.array([
         palette.add(name, spectrum)
         for name, spectrum in zip(PATCHES, patch_reflectances(), strict=True)
@@ -80,7 +80,7 @@ def staircase(*, near: float = 0.6, far: float = 1.3, steps: int = 8) -> Layout:
         raise SceneError(f"staircase: steps = {steps}: must be at least 1")
     if far <= near:
         raise SceneError(f"staircase: far = {far} must lie beyond near = {near}")
-    palette = Palette()
+    palette = SurfaceTable()
     ends = np.linspace(-0.147, 0.147, steps + 1)
     ends[0], ends[-1] = -np.inf, np.inf
     layers, regions = [], {}
@@ -100,7 +100,7 @@ def _strip(index: int, left: float, right: float) -> Callable[[Array, Array], ND
 
 def empty() -> Layout:
     """Nothing within reach: no light comes back."""
-    return Layout((), Palette(), {})
+    return Layout((), SurfaceTable(), {})
 
 
 @dataclass(frozen=True)
@@ -180,8 +180,8 @@ def scene(
         name,
         layout.layers,
         instrument,
-        surfaces=tuple(layout.palette.spectra),
-        spectra=layout.palette.table(),
+        surfaces=tuple(layout.surfaces.spectra),
+        spectra=layout.surfaces.table(),
         regions=layout.regions,
         gloss=layout.gloss,
         leds_m=illuminator_positions(instrument, illuminator_m, ring_m),

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead, find_hot_in_dark
 from hueflight.calibration.delays import align, refined_delays
-from hueflight.calibration.empirical_bayes import shrunk
+from hueflight.calibration.empirical_bayes import shrink_to_line_means
 from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
 from hueflight.calibration.waveform_estimation import (
     TrainModel,
     brightness_of,
-    shared_out,
+    fit_overlapping_pulses,
     templates_from_bands,
     templates_from_train,
 )
@@ -27,7 +27,7 @@ from hueflight.model.histograms import check_histogram, frames_per_pixel
 from hueflight.model.instrument import Instrument
 from hueflight.model.pileup import coates_correction, lost_photons_factor, photons_per_period
 from hueflight.model.time_bins import TimeBins
-from hueflight.model.undersampling import resolved
+from hueflight.model.undersampling import smooth_undersampled
 from hueflight.model.waveforms import Templates
 
 HOT_IN_FLAT = 2.0  #: times the median count under steady light that only a hot pixel reaches
@@ -54,7 +54,7 @@ def calibrate(
     instrument : what made them.
     distance : of the target from the camera, m.
     bands : (band, row, col, code) the same target with one LED at a time, of any length;
-        without it the waveforms are parted from `reference`, less surely where they overlap.
+        without it the waveforms are separated from `reference`, less surely where they overlap.
     reflectance : (band,) known reflectance of the target (R_ref of eq. 3), default 1.
     dark : (row, col, code) counts with the LEDs off, to find hot pixels.
     flat : (row, col, code) counts under steady light, to measure the widths of the bins
@@ -101,15 +101,15 @@ def calibrate(
     arrived = _arrived(light, exposures, instrument)
     circular = bins.period_ns is not None
     gain, flat_field = _gains(arrived, windows, delay, usable, exposures, known, circular=circular)
-    arrived = resolved(arrived, instrument, bins)
+    arrived = smooth_undersampled(arrived, instrument, bins)
     captures = None
     if bands is not None:
-        captures = resolved(_band_captures(bands, instrument, bins), instrument, bins)
+        captures = smooth_undersampled(_band_captures(bands, instrument, bins), instrument, bins)
 
     delay_ns = np.where(usable, delay, 0.0) * (bins.span_ns / bins.count)
     model: TrainModel = ([], 0.0)
     if captures is None:
-        model = shared_out(arrived, delay_ns, usable, windows, instrument, bins)
+        model = fit_overlapping_pulses(arrived, delay_ns, usable, windows, instrument, bins)
 
     def waveforms(delay_ns: NDArray[np.float64]) -> Templates:
         if captures is not None:
@@ -271,7 +271,7 @@ def _gains(
             "Dim the LEDs or shorten the exposure"
         )
     relative = total / total[known].mean()
-    flat_field, _ = shrunk(relative, relative**2 / np.maximum(photons, 1), known)
+    flat_field, _ = shrink_to_line_means(relative, relative**2 / np.maximum(photons, 1), known)
     flat_field = np.where(known, flat_field, np.nan)
     mean = np.array([(band[known] / flat_field[known]).mean() for band in per_frame])
     if (mean <= 0).any():

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.simulator.layout import Layout, Palette
 from hueflight.simulator.scene import NOTHING, Layer
+from hueflight.simulator.scene_layout import Layout, SurfaceTable
 from hueflight.simulator.shapes import Array, Mask, disc, lettering, limb, rectangle
 
 _BRICK_WIDTH, _BRICK_HEIGHT, _STUD_PITCH = 0.032, 0.0096, 0.008
@@ -36,7 +36,7 @@ def shelf_scene(
     background, wall, horse : distances, m.
     glare : mirror-like reflection from the board's print, at its brightest; the paper saw some.
     """
-    palette = Palette()
+    palette = SurfaceTable()
     layers = (
         _board(palette, background),
         _wall(
@@ -60,7 +60,7 @@ def wall_scene(*, distance: float = 1.0) -> Layout:
     ----------
     distance : m; 0.5, 1.0 and 1.5 in the paper.
     """
-    palette = Palette()
+    palette = SurfaceTable()
     layers = (
         _board(palette, distance + 0.1),
         _wall(
@@ -75,7 +75,7 @@ def wall_scene(*, distance: float = 1.0) -> Layout:
     return Layout(layers, palette, _regions(palette))
 
 
-def _regions(palette: Palette) -> dict[str, tuple[str, ...]]:
+def _regions(palette: SurfaceTable) -> dict[str, tuple[str, ...]]:
     wanted = {
         "red brick": ("red brick",),
         "green brick": ("green brick",),
@@ -93,7 +93,7 @@ def _regions(palette: Palette) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _board(palette: Palette, depth_m: float) -> Layer:
+def _board(palette: SurfaceTable, depth_m: float) -> Layer:
     plain = palette["board"]
     inks = np.array([palette[ink] for ink in _INKS])
     navy, red, green, yellow, cyan = (
@@ -130,7 +130,7 @@ def _board(palette: Palette, depth_m: float) -> Layer:
 
 
 def _wall(
-    palette: Palette,
+    palette: SurfaceTable,
     depth_m: float,
     *,
     right: float,
@@ -159,7 +159,7 @@ def _wall(
     return Layer(depth_m, paint)
 
 
-def _shelf(palette: Palette, depth_m: float, *, top: float, bottom: float) -> Layer:
+def _shelf(palette: SurfaceTable, depth_m: float, *, top: float, bottom: float) -> Layer:
     shelf = palette["shelf"]
 
     def paint(x: Array, y: Array) -> NDArray[np.intp]:
@@ -185,7 +185,7 @@ _SEAT = [(-0.65, 4.62, 0.20), (0.2, 4.36, 0.26), (1.15, 4.66, 0.22)]
 _SIZE = 1.2  # of the whole horse
 
 
-def _horse(palette: Palette, depth_m: float, *, x: float, ground: float) -> Layer:
+def _horse(palette: SurfaceTable, depth_m: float, *, x: float, ground: float) -> Layer:
     coat, dark, saddle = palette["horse"], palette["hoof"], palette["saddle"]
     origin_x, origin_y = x, ground
 

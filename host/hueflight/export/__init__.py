@@ -1,4 +1,4 @@
-"""Results that other tools open: every file carries units, wavelengths and where it came from."""
+"""Writers of images, histograms and photon lists in formats that other software reads."""
 
 from hueflight.export.description import describe
 from hueflight.export.envi import write_envi

@@ -1,9 +1,10 @@
-"""What every exported file says of itself: units, wavelengths, calibration, software."""
+"""Metadata of every exported file: units, wavelengths, calibration and software."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import unicodedata
 from typing import Any
 
 import numpy as np
@@ -18,23 +19,29 @@ CONVENTIONS = "CF-1.11"  #: attributes follow the Climate and Forecast metadata 
 
 
 def describe(image: xr.Dataset, calibration: Calibration, /, **more: str) -> xr.Dataset:
-    """The image with all that a reader elsewhere needs: instrument, calibration, band widths.
+    """Add the metadata that readers of the exported file need to an image.
 
     Parameters
     ----------
-    image : as `reconstruct` gives with this calibration.
-    calibration : that it was made with.
-    more : further attributes, such as the name of the recording.
+    image : xarray.Dataset
+        Image that `reconstruct` made with this calibration.
+    calibration : Calibration
+        Calibration that the image was made with.
+    **more : str
+        Further attributes, such as the name of the recording.
 
     Returns
     -------
-    A copy with the instrument and the calibration's origin as JSON in `attrs`, and with the
-    coordinate `emission_fwhm` (nm). Point clouds and header files are made from these.
+    xarray.Dataset
+        A copy of the image. Its attributes hold the instrument and the origin of the calibration as
+        JSON, and the coordinate `emission_fwhm` holds the spectral widths of the bands in nm.
 
     Raises
     ------
+    ImageError
+        If it is not an image.
     ExportError
-        If it is not an image, or one of another instrument.
+        If the image comes from another instrument than the calibration.
     """
     require_image(image)
     instrument = calibration.instrument
@@ -62,7 +69,7 @@ def describe(image: xr.Dataset, calibration: Calibration, /, **more: str) -> xr.
 
 
 def calibration_origin(calibration: Calibration) -> dict[str, Any]:
-    """Where a calibration came from, as plain values, with a digest of what it holds."""
+    """Return the origin of a calibration as plain values, with a digest of its content."""
     digest = hashlib.sha256()
     for array in (
         calibration.reference,
@@ -81,7 +88,7 @@ def calibration_origin(calibration: Calibration) -> dict[str, Any]:
 
 
 def with_conventions(image: xr.Dataset) -> xr.Dataset:
-    """A copy whose attributes follow the CF conventions."""
+    """Return a copy whose attributes follow the CF conventions."""
     polished = image.copy()
     polished.attrs = {
         "Conventions": CONVENTIONS,
@@ -103,21 +110,21 @@ def with_conventions(image: xr.Dataset) -> xr.Dataset:
 
 
 def band_names(image: xr.Dataset) -> list[str]:
-    """Name of each band; its wavelength where it has none."""
+    """Return the name of each band, or its wavelength if bands have no names."""
     if "band_name" in image.coords:
         return [str(name) for name in image["band_name"].values]
     return [f"{wavelength:g} nm" for wavelength in image["wavelength"].values]
 
 
 def band_widths_nm(image: xr.Dataset) -> NDArray[np.float64] | None:
-    """Spectral width (band,) at half maximum, nm, if the image knows."""
+    """Return the spectral widths (band,) at half maximum in nm, if the image states them."""
     if "emission_fwhm" not in image.coords:
         return None
     return np.asarray(image["emission_fwhm"].values, dtype=np.float64)
 
 
 def band_labels(image: xr.Dataset) -> list[str]:
-    """A short name for each band that fits any format: ``659nm``, unique."""
+    """Return a short, unique name for each band that any format can hold, such as ``659nm``."""
     wavelengths = image["wavelength"].values
     for digits in range(4):
         labels = [f"{value:.{digits}f}nm".replace(".", "_") for value in wavelengths]
@@ -127,10 +134,10 @@ def band_labels(image: xr.Dataset) -> list[str]:
 
 
 def plain_attributes(image: xr.Dataset) -> dict[str, str]:
-    """Everything known of an image as flat text, for formats that hold only that."""
+    """Return the metadata of an image as flat text, for formats that hold nothing else."""
     flat: dict[str, str] = {}
     for key, value in image.attrs.items():
-        if key == "instrument_description":  # long; kept by the formats that hold JSON
+        if key == "instrument_description":  # long; only formats with JSON hold it
             continue
         if key == "calibration":
             for inner, entry in json.loads(value).items():
@@ -147,3 +154,13 @@ def plain_attributes(image: xr.Dataset) -> dict[str, str]:
         f"{name} [{variable.attrs.get('units', '1')}]" for name, variable in image.data_vars.items()
     )
     return flat
+
+
+def ascii_text(text: str) -> str:
+    r"""Return text for formats that hold only ASCII: ``Caméra`` becomes ``Camera``.
+
+    Characters without such an equivalent are written as escapes, such as ``\u03bb``.
+    """
+    decomposed = unicodedata.normalize("NFKD", text)
+    plain = "".join(c for c in decomposed if not unicodedata.combining(c))
+    return plain.encode("ascii", "backslashreplace").decode()

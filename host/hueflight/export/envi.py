@@ -1,4 +1,4 @@
-"""ENVI: a text header beside raw numbers, as imaging spectroscopy exchanges cubes.
+"""ENVI: a text header with a file of raw numbers, the usual format of imaging spectroscopy.
 
 Keys follow the format's public description ("ENVI Header Files", L3Harris Geospatial
 documentation): wavelengths with their units, full widths, and a list of bad bands.
@@ -30,22 +30,36 @@ def write_envi(
     bad_bands: Sequence[bool] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """One image as ENVI cubes with wavelengths.
+    """Write an image as ENVI cubes with wavelengths.
 
-    `NAME.hdr` with `NAME.img` holds reflectance; every other quantity per band has a cube
-    `NAME_quantity.hdr` of the same wavelengths; those without bands (depth, quality, …) are
+    `NAME.hdr` with `NAME.img` holds the reflectance. Every other quantity per band has a cube
+    `NAME_quantity.hdr` with the same wavelengths. Quantities without bands (depth, quality, …) are
     the bands of `NAME_planes.hdr`.
 
     Parameters
     ----------
-    image : one image.
-    path : of the header, ``….hdr``.
-    bad_bands : True for each band that readers should leave out; by default those without a
-        single value and those whose median uncertainty exceeds their median reflectance.
+    image : xarray.Dataset
+        One image.
+    path : str or pathlib.Path
+        Name of the header file, which ends in ``.hdr``.
+    bad_bands : sequence of bool, optional
+        True for each band that readers should ignore. By default these are the bands without any
+        value and those whose median uncertainty exceeds their median reflectance.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
     """
     require_image(image)
     path = Path(path)
-    if path.suffix != ".hdr":
+    if path.suffix.lower() != ".hdr":
         raise ExportError(f"{str(path)!r}: an ENVI header ends in .hdr")
     names, wavelengths = band_names(image), image["wavelength"].values
     widths = band_widths_nm(image)
@@ -85,7 +99,7 @@ def write_envi(
 
 
 def find_bad_bands(image: xr.Dataset) -> NDArray[np.bool_]:
-    """Bands (band,) that hold no value, or whose noise hides what they hold."""
+    """Return which bands (band,) hold no value, or more noise than signal."""
     cube = image["reflectance"].transpose("band", "row", "col").values
     empty = np.array([not np.isfinite(plane).any() for plane in cube])
     if "reflectance_std" not in image:
@@ -103,7 +117,7 @@ def find_bad_bands(image: xr.Dataset) -> NDArray[np.bool_]:
 def _write_cube(
     header: Path, cube: NDArray[Any], quantity: str, keys: dict[str, Any], about: dict[str, str]
 ) -> None:
-    """Raw little-endian numbers, band after band, and the header that explains them."""
+    """Write raw little-endian numbers, band after band, and the header that describes them."""
     code = TYPE_CODES.get(cube.dtype.name)
     if code is None:
         raise ExportError(
@@ -132,7 +146,7 @@ def _write_cube(
 def _value(value: Any) -> str:
     if not isinstance(value, list):
         return str(value)
-    # braces and line breaks would end the list early, commas split a name in two
+    # braces and line breaks would end the list, and commas would split a name
     clean = [str(item).replace("{", "(").replace("}", ")").replace("\n", " ") for item in value]
     if len(clean) > 1:
         clean = [item.replace(",", " ") for item in clean]

@@ -1,9 +1,17 @@
-"""All formats by name and ending, and one door to them."""
+"""Registry of the formats for images, and the function that writes any of them.
+
+A format is one more entry of `FORMATS`, or, in another package, an entry point in the group
+`hueflight.exporters` that refers to a `Format` and has the name of the format::
+
+    [project.entry-points."hueflight.exporters"]
+    xyz = "my_package:XYZ"
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -21,18 +29,26 @@ from hueflight.export.tables import write_csv
 from hueflight.export.tiff import write_tiff
 from hueflight.files.image_schema import captures, require_image
 
+ENTRY_POINT_GROUP = "hueflight.exporters"
+
 
 @dataclass(frozen=True)
 class Format:
-    """A way to write images.
+    """A format for images.
 
     Attributes
     ----------
-    name : how it is chosen.
-    endings : of file names that mean it, the first is usual.
-    write : ``write(image, path, overwrite=…, …)``.
-    series : whether one file holds a whole series.
-    summary : what it is for.
+    name : str
+        Name by which it is selected.
+    endings : tuple of str
+        File extensions that select it, in lower case, the usual one first.
+    write : callable
+        Function ``write(image, path, overwrite=…, …)``; its further keyword-only parameters are
+        the options of the format.
+    series : bool
+        Whether one file can hold a whole series.
+    summary : str
+        What the format is used for.
     """
 
     name: str
@@ -59,28 +75,47 @@ FORMATS = {
 }
 
 
+def all_formats() -> dict[str, Format]:
+    """Return the formats of this package and of installed ones by name."""
+    installed = entry_points(group=ENTRY_POINT_GROUP)
+    return FORMATS | {entry.name: entry.load() for entry in installed if entry.name not in FORMATS}
+
+
 def format_of(path: str | Path, name: str | None = None) -> Format:
-    """The format named, or the one that the path's ending means.
+    """Return the format of a name, or the one that a file extension selects.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Name of a file.
+    name : str, optional
+        Name of a format, which overrides the file extension.
+
+    Returns
+    -------
+    Format
+        The format.
 
     Raises
     ------
     ExportError
-        If there is none such.
+        If there is no such format.
 
     Examples
     --------
     >>> format_of("scene.ome.tif").name
     'ome-tiff'
     """
+    formats = all_formats()
     if name is not None:
-        if name not in FORMATS:
-            raise ExportError(f"no format {name!r}: choose one of {', '.join(FORMATS)}")
-        return FORMATS[name]
+        if name not in formats:
+            raise ExportError(f"no format {name!r}: choose one of {', '.join(formats)}")
+        return formats[name]
     lower = Path(path).name.lower()
-    for entry in FORMATS.values():  # .ome.tif stands before .tif
+    for entry in formats.values():  # .ome.tif precedes .tif
         if lower.endswith(entry.endings):
             return entry
-    endings = ", ".join(entry.endings[0] for entry in FORMATS.values())
+    endings = ", ".join(entry.endings[0] for entry in formats.values())
     raise ExportError(f"{str(path)!r} ends in none of {endings}: rename it or name a format")
 
 
@@ -89,28 +124,41 @@ def write(
     path: str | Path,
     /,
     *,
-    format: str | None = None,  # noqa: A002 - the word users know
+    format: str | None = None,  # noqa: A002 - the usual name
     overwrite: bool = False,
     **options: Any,
 ) -> list[Path]:
-    """Write an image or a series; returns the files or folders that were named.
+    """Write an image or a series in the format that the file extension selects.
 
     Parameters
     ----------
-    image : as `reconstruct` gives, best after `describe`; or a series (`analysis.stack`).
-    path : its ending chooses the format. For a series in a format that holds one image, a
-        number is put before the ending, one file each.
-    format : name of a format, whatever the ending.
-    overwrite : whether a file of that name may be replaced.
-    options : of the format: `regions` (csv), `variable`, `band`, `limits` (png), `bad_bands`
+    image : xarray.Dataset
+        Image that `reconstruct` made, preferably with the metadata that `describe` adds; or a
+        series (`analysis.stack`).
+    path : str or pathlib.Path
+        Name of the file. If the format holds only one image, each image of a series is written to
+        a file of its own, with a number before the extension.
+    format : str, optional
+        Name of a format, which overrides the file extension.
+    overwrite : bool
+        Whether existing files of these names may be replaced.
+    **options : Any
+        Options of the format: `regions` (csv), `variable`, `band`, `limits` (png), `bad_bands`
         (envi), `instrument` (ply, las).
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files or folders that were written.
 
     Raises
     ------
     ExportError
-        If the format or an option does not exist, the file does, or the disk did not take it.
+        If there is no such format or option.
     ImageError
-        If it is no image.
+        If it is not an image.
+    OutputError
+        If a file exists already or can't be written.
     """
     require_image(image)
     chosen = format_of(path, format)

@@ -1,9 +1,9 @@
 """HDF5 files on disks that may be full.
 
-The HDF5 library does not survive a refused write: closing fails, is tried again when the
-interpreter tidies up, and may take the process down. So it writes to a file object that, once
-the disk refuses, keeps the little that still comes in memory, lets HDF5 close in peace, and
-reports the refusal then.
+The HDF5 library cannot recover from a failed write: closing the file fails, is tried again when the
+interpreter exits, and may crash the process. Therefore HDF5 writes to a file object that keeps all
+further data in memory after a failed write, so that the file can be closed, and then reports the
+error.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from pathlib import Path
 from typing import Any
 
 
-class PatientFile(io.FileIO):
-    """A new file for reading and writing that keeps a refused write for `settle`."""
+class BufferingFile(io.FileIO):
+    """A new file for reading and writing that reports a failed write only in `raise_failure`."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "w+")
-        self.refusal: OSError | None = None
+        self.failure: OSError | None = None
         self._spilled: list[tuple[int, bytes]] = []  # (offset, content), in order of writing
-        self._end = 0  # of the file, spilled parts included
+        self._end = 0  # of the file, including the parts in memory
 
     def write(self, data: Any, /) -> int:
-        """Write all of it, to memory if need be."""
+        """Write all data, to memory if the disk refuses."""
         view = memoryview(data).cast("B")
         offset, written = self.tell(), 0
-        while self.refusal is None and written < len(view):
+        while self.failure is None and written < len(view):
             try:
                 written += super().write(view[written:]) or 0
             except OSError as error:
-                self.refusal = error
+                self.failure = error
         if written < len(view):
             self._spilled.append((offset + written, bytes(view[written:])))
         self.seek(offset + len(view))
@@ -41,7 +41,7 @@ class PatientFile(io.FileIO):
         return len(view)
 
     def readinto(self, buffer: Any, /) -> int:
-        """Read what was written, wherever it is kept."""
+        """Read what was written, from the disk and from memory."""
         view = memoryview(buffer).cast("B")
         offset = self.tell()
         length = max(0, min(len(view), self._end - offset))
@@ -57,37 +57,47 @@ class PatientFile(io.FileIO):
         return length
 
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        """Move; the end is that of all that was written."""
+        """Move to an offset; the end of the file includes the parts in memory."""
         if whence == os.SEEK_END:
             return super().seek(self._end + offset)
         return super().seek(offset, whence)
 
     def truncate(self, size: int | None = None, /) -> int:
-        """Set the file's length."""
+        """Set the length of the file."""
         length = self.tell() if size is None else size
-        if self.refusal is None:
+        if self.failure is None:
             try:
                 super().truncate(length)
             except OSError as error:
-                self.refusal = error
+                self.failure = error
         self._end = length
         return length
 
-    def settle(self) -> None:
-        """Raise what the disk refused."""
-        if self.refusal is not None:
-            raise self.refusal
+    def raise_failure(self) -> None:
+        """Raise the error of the first failed write, if there was one."""
+        if self.failure is not None:
+            raise self.failure
 
 
 @contextmanager
-def patient_file(path: Path) -> Iterator[PatientFile]:
-    """A file that HDF5 may write to; a refusal is raised when the block ends.
+def buffering_file(path: Path) -> Iterator[BufferingFile]:
+    """Open a file for HDF5 and raise the error of a failed write when the block ends.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Name of the new file.
+
+    Yields
+    ------
+    BufferingFile
+        The file.
 
     Raises
     ------
     OSError
-        If the disk did not take everything.
+        If not everything could be written.
     """
-    with PatientFile(path) as file:
+    with BufferingFile(path) as file:
         yield file
-        file.settle()
+        file.raise_failure()

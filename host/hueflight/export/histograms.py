@@ -1,4 +1,4 @@
-"""Raw histograms as HDF5, for tools of time-correlated photon counting."""
+"""Raw histograms as HDF5, for software for time-correlated single-photon counting."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hueflight.export.hdf5 import patient_file
+from hueflight.export.hdf5 import buffering_file
 from hueflight.files import import_optional, staged
 from hueflight.model.histograms import check_histogram, frames_per_pixel
 from hueflight.model.instrument import Instrument
@@ -23,23 +23,32 @@ def write_histogram(
     frames: ArrayLike | None = None,
     overwrite: bool = False,
 ) -> None:
-    """A histogram as HDF5, with the time of every code.
+    """Write a histogram as HDF5, with the time of every code.
 
-    `/histogram` keeps the counts exactly as they are, raw codes on the last axis;
-    `/code_start_ns` and `/code_width_ns` say which stretch of the period each code covers
-    (NaN: none), so that a reader need not know the converter's direction.
-    `/frames` are the exposures behind each pixel, where they are known.
+    `/histogram` holds the unchanged counts, with raw codes on the last axis. `/code_start_ns` and
+    `/code_width_ns` state which interval of the period each code covers (NaN: none), so that a
+    reader need not know the direction of the converter. `/frames` holds the number of exposures of
+    each pixel, if it is known.
 
     Parameters
     ----------
-    histogram : (row, col, code) counts.
-    instrument : that made them.
-    frames : exposures, a number or (row, col); by default as the sensor reports them.
+    histogram : array_like, shape (row, col, code)
+        Counts.
+    instrument : Instrument
+        Instrument that made them.
+    path : str or pathlib.Path
+        Name of the file.
+    frames : array_like, scalar or shape (row, col), optional
+        Number of exposures; by default as the sensor reports it.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
 
     Raises
     ------
     HistogramError
-        If the counts are not this instrument's.
+        If the counts do not fit the instrument.
+    OutputError
+        If the file exists already or can't be written.
     """
     counts = check_histogram(histogram, instrument)
     exposures = frames_per_pixel(counts, instrument, frames)
@@ -51,7 +60,7 @@ def write_histogram(
     rows, cols, codes = counts.shape
     with (
         staged(path, overwrite=overwrite) as partial,
-        patient_file(partial) as disk,
+        buffering_file(partial) as disk,
         h5py.File(disk, "w") as file,
     ):
         file.attrs.update(
@@ -68,7 +77,7 @@ def write_histogram(
         data = file.create_dataset(
             "histogram",
             data=counts,
-            chunks=(min(rows, 16), min(cols, 16), codes),  # one pixel's curve in one piece
+            chunks=(min(rows, 16), min(cols, 16), codes),  # the histogram of a pixel is never split
             compression="gzip",
             compression_opts=1,
             shuffle=True,

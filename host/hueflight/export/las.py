@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
-from hueflight.export.description import plain_attributes
+from hueflight.export.description import ascii_text, plain_attributes
 from hueflight.export.points import image_points
 from hueflight.files import import_optional, staged
 from hueflight.model.instrument import Instrument
 
 POINT_FORMAT = 7  #: of LAS 1.4, with colour
-RESOLUTION_M = 1e-5  #: coordinates are whole multiples; a 32-bit count reaches 21 km
+RESOLUTION_M = 1e-5  #: coordinates are multiples of it, unless they exceed 21 km
+LARGEST_COUNT = 2**31 - 1  #: of a coordinate, in multiples of the resolution
 NAME_BYTES = 32  #: the format's limit for a dimension's name and its description
 
 
@@ -27,24 +29,50 @@ def write_las(
     instrument: Instrument | None = None,
     overwrite: bool = False,
 ) -> None:
-    """One image as LAS 1.4: x y z in metres, 16-bit RGB, every band and uncertainty.
+    """Write an image as LAS 1.4: x y z in metres, 16-bit RGB, every band and uncertainty.
 
-    `intensity` is the mean reflectance over all bands, full scale at 1. The image's origin
-    stands as JSON in a variable length record of the user "hueflight".
+    `intensity` is the mean reflectance over all bands, with full scale at 1. The metadata of the
+    image are stored as JSON in a variable length record of the user "hueflight". LAS text fields
+    hold ASCII only.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        One image.
+    path : str or pathlib.Path
+        Name of the file.
+    instrument : Instrument, optional
+        Instrument whose lens gives the direction of each pixel; by default the one that the image
+        describes.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
     """
     laspy = import_optional("laspy", extra="export")
     points = image_points(image, instrument=instrument)
     if too_long := [name for name in points.fields if len(name) > NAME_BYTES]:
         raise ExportError(f"LAS names have at most {NAME_BYTES} characters: rename {too_long[0]!r}")
     header = laspy.LasHeader(point_format=POINT_FORMAT, version="1.4")
-    header.generating_software = str(image.attrs.get("software", "hueflight"))[:NAME_BYTES]
-    header.system_identifier = str(image.attrs.get("instrument", ""))[:NAME_BYTES]
-    header.scales = np.full(3, RESOLUTION_M)
+    header.generating_software = ascii_text(str(image.attrs.get("software", "hueflight")))[
+        :NAME_BYTES
+    ]
+    header.system_identifier = ascii_text(str(image.attrs.get("instrument", "")))[:NAME_BYTES]
+    header.scales = np.full(3, _resolution_m(points.xyz))
     header.offsets = np.zeros(3)
     header.add_extra_dims(
         [
             laspy.ExtraBytesParams(
-                name, values.dtype, description=f"unit {points.units[name]}"[:NAME_BYTES]
+                name,
+                values.dtype,
+                description=ascii_text(f"unit {points.units[name]}")[:NAME_BYTES],
             )
             for name, values in points.fields.items()
         ]
@@ -64,3 +92,12 @@ def write_las(
         las[name] = values
     with staged(path, overwrite=overwrite) as partial:
         las.write(str(partial))
+
+
+def _resolution_m(xyz: NDArray[np.float64]) -> float:
+    """Return the resolution of coordinates: the usual one, or a power of ten that is enough."""
+    largest = float(np.abs(xyz).max())
+    resolution = RESOLUTION_M
+    while largest > resolution * LARGEST_COUNT:
+        resolution *= 10
+    return resolution

@@ -1,6 +1,6 @@
 """OME-TIFF: bands as channels with their wavelengths, for microscopy software.
 
-Written after the OME data model, schema 2016-06 (https://www.openmicroscopy.org/Schemas/OME/
+This follows the OME data model, schema 2016-06 (https://www.openmicroscopy.org/Schemas/OME/
 2016-06): one Image each for reflectance and its uncertainty (a channel per band), one for the
 other floating-point planes, one for the quality flags.
 """
@@ -26,7 +26,26 @@ PIXEL_TYPES = {"float32": "float", "int32": "int32", "uint32": "uint32", "int16"
 
 
 def write_ome_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
-    """Image or series as an OME-TIFF; the captures of a series are its time points."""
+    """Write an image or series as an OME-TIFF; the captures of a series are its time points.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Image or series.
+    path : str or pathlib.Path
+        Name of the file.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
+    """
     require_image(image)
     tifffile = import_optional("tifffile", extra="export")
     stacks = _stacks(image)
@@ -49,7 +68,7 @@ def write_ome_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = 
 
 
 def _stacks(image: xr.Dataset) -> list[tuple[str, NDArray[Any], list[dict[str, str]]]]:
-    """(name, values (time, channel, row, col), attributes of each channel) of each OME Image."""
+    """Return name, values (time, channel, row, col) and channel attributes of each OME Image."""
     series = image if SERIES_DIM in image.dims else image.expand_dims(SERIES_DIM)
     names, wavelengths = band_names(image), image["wavelength"].values
     spectral = [
@@ -82,7 +101,7 @@ def _stacks(image: xr.Dataset) -> list[tuple[str, NDArray[Any], list[dict[str, s
 def _description(
     image: xr.Dataset, stacks: list[tuple[str, NDArray[Any], list[dict[str, str]]]]
 ) -> str:
-    """The OME-XML block."""
+    """Return the OME-XML block."""
     root = Xml.Element("OME", {"xmlns": NAMESPACE, "Creator": image.attrs.get("software", "")})
     page = 0
     for number, (name, stack, channels) in enumerate(stacks):
@@ -131,7 +150,7 @@ def _description(
     values = Xml.SubElement(mapping, "Value")
     for key, value in _origin(image).items():
         Xml.SubElement(values, "M", {"K": key}).text = value
-    # character references keep the block ASCII, as the TIFF tag wants it
+    # character references keep the block in ASCII, as the TIFF tag requires
     return Xml.tostring(root, encoding="us-ascii", xml_declaration=True).decode()
 
 

@@ -1,6 +1,6 @@
-"""Photon lists as Photon-HDF5, which tools for photon-by-photon analysis read.
+"""Photon lists as Photon-HDF5, for software that analyses single photons.
 
-After the Photon-HDF5 specification, version 0.5 (A. Ingargiola et al., Biophys. J. 110, 26,
+This follows the Photon-HDF5 specification, version 0.5 (A. Ingargiola et al., Biophys. J. 110, 26,
 2016; https://photon-hdf5.readthedocs.io): one entry per photon with the time of its exposure,
 its arrival within the period (nanotime) and its pixel.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
-from hueflight.export.hdf5 import patient_file
+from hueflight.export.hdf5 import buffering_file
 from hueflight.files import import_optional, staged
 from hueflight.model.instrument import Instrument
 
@@ -42,24 +42,41 @@ def write_photons(
     author: str = "unknown",
     overwrite: bool = False,
 ) -> int:
-    """Every photon of a run of frames as a Photon-HDF5 file; returns how many there were.
+    """Write every photon of a sequence of frames as a Photon-HDF5 file.
 
-    `timestamps` count frames. `nanotimes` count bins of the period in order of arrival, so
-    that later photons have larger ones whatever the converter's direction; where the first
-    bin of the period is a partial one, photons of bin n ≥ 1 start `first_bin_width_ns` +
-    (n − 1) · `tcspc_unit` into it (`/user/hueflight`). `detectors` are row · cols + col.
+    `timestamps` count frames. `nanotimes` count bins of the period in order of arrival: later
+    photons have larger values, whatever the direction of the converter. If the first bin of the
+    period is partial, bin n ≥ 1 starts at `first_bin_width_ns` + (n − 1) · `tcspc_unit` (see
+    `/user/hueflight`). `detectors` are row · cols + col.
 
     Parameters
     ----------
-    frames : blocks (frame, row, col) or single frames (row, col) of raw codes, in order.
-    instrument : that made them.
-    frame_rate_hz : by default the sensor's.
-    description, author : as the format asks for.
+    frames : iterable of numpy.ndarray of int, shape (frame, row, col) or (row, col)
+        Raw codes, in order of time.
+    instrument : Instrument
+        Instrument that made them.
+    path : str or pathlib.Path
+        Name of the file.
+    frame_rate_hz : float, optional
+        Frames per second; by default those of the sensor.
+    description : str
+        Description that the format requires; by default a summary.
+    author : str
+        Author that the format requires.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Returns
+    -------
+    int
+        Number of photons.
 
     Raises
     ------
     ExportError
-        If there is no frame rate, a frame has another shape, or a code is not the sensor's.
+        If there is no frame rate, a frame has another shape, or the sensor has no such code.
+    OutputError
+        If the file exists already or can't be written.
     """
     rate = frame_rate_hz if frame_rate_hz is not None else instrument.sensor.frame_rate_hz
     if rate is None or not (np.isfinite(rate) and rate > 0):
@@ -70,7 +87,7 @@ def write_photons(
     h5py = import_optional("h5py", extra="export")
     with (
         staged(path, overwrite=overwrite) as partial,
-        patient_file(partial) as disk,
+        buffering_file(partial) as disk,
         h5py.File(disk, "w") as file,
     ):
         arrays = _photon_arrays(file, instrument)
@@ -78,7 +95,7 @@ def write_photons(
         total = 0
         for block in frames:
             total += _append(arrays, block, total, instrument, counts)
-            disk.settle()  # a full disk ends a long run at once
+            disk.raise_failure()  # stop a long export as soon as the disk is full
         _describe(file, instrument, rate, description=description, frames=total, counts=counts)
         _identify(file, author=author, name=Path(path).name)
         _entitle(file)
@@ -86,7 +103,7 @@ def write_photons(
 
 
 def _photon_arrays(file: Any, instrument: Instrument) -> dict[str, Any]:
-    """Empty columns that grow."""
+    """Create the arrays of photons, which are empty and can grow."""
     pixels = int(np.prod(instrument.image_shape))
     group = file.create_group("photon_data")
     kinds = {
@@ -116,7 +133,7 @@ def _append(
     instrument: Instrument,
     counts: NDArray[np.int64],
 ) -> int:
-    """The photons of one block; returns its number of frames."""
+    """Append the photons of one block and return its number of frames."""
     codes = np.asarray(block)
     if codes.ndim == 2:
         codes = codes[None]
@@ -161,7 +178,7 @@ def _describe(
     frames: int,
     counts: NDArray[np.int64],
 ) -> None:
-    """Fields that the format asks for about time, detectors and light."""
+    """Write the fields about time, detectors and light that the format requires."""
     bins = instrument.time_bins()
     unit_s = instrument.sensor.bin_width_ns * 1e-9
     rows, cols = instrument.image_shape
@@ -177,7 +194,7 @@ def _describe(
     for name, value in {
         "num_pixels": rows * cols,
         "num_spots": 1,
-        "num_spectral_ch": 1,  # of detection: the sensor does not tell colours apart
+        "num_spectral_ch": 1,  # of detection: the sensor does not distinguish colours
         "num_polarization_ch": 1,
         "num_split_ch": 1,
         "modulated_excitation": 1,
@@ -200,7 +217,7 @@ def _describe(
 
 
 def _identify(file: Any, *, author: str, name: str) -> None:
-    """Who wrote the file, after which version of the format."""
+    """Write the author, the software and the version of the format."""
     for key, value in FORMAT.items():
         file.attrs[key] = _text(value)
     identity = file.create_group("identity")
@@ -217,7 +234,7 @@ def _identify(file: Any, *, author: str, name: str) -> None:
 
 
 def _entitle(file: Any) -> None:
-    """The title that the format prescribes for each field; its own readers insist on them."""
+    """Write the title that the format prescribes for each field, which its readers check."""
     source = resources.files("hueflight.export") / "photon_hdf5_titles.csv"
     titles = {
         row["field"]: row["title"] for row in csv.DictReader(source.read_text("utf-8").splitlines())
@@ -228,5 +245,5 @@ def _entitle(file: Any) -> None:
 
 
 def _text(value: str) -> np.bytes_:
-    """Text as the format wants it: bytes of fixed length."""
+    """Return text as bytes of fixed length, as the format requires."""
     return np.bytes_(value.encode("utf-8"))

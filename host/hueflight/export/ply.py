@@ -1,6 +1,6 @@
-"""PLY, binary: the point cloud format that nearly every 3-D program opens.
+"""Binary PLY, the point cloud format of most 3-D software.
 
-After G. Turk, "The PLY Polygon File Format" (Stanford, 1994): a text header that names the
+This follows G. Turk, "The PLY Polygon File Format" (Stanford, 1994): a text header that names the
 properties, then one packed record per vertex.
 """
 
@@ -12,11 +12,12 @@ import numpy as np
 import xarray as xr
 
 from hueflight.errors import ExportError
-from hueflight.export.description import plain_attributes
+from hueflight.export.description import ascii_text, plain_attributes
 from hueflight.export.points import Points, image_points
 from hueflight.files import staged
 from hueflight.model.instrument import Instrument
 
+LONGEST_COMMENT = 900  #: characters; some readers fail on lines of 1000 and more
 PROPERTY_TYPES = {
     "float64": "double", "float32": "float", "int32": "int", "uint32": "uint",
     "int16": "short", "uint16": "ushort", "int8": "char", "uint8": "uchar",
@@ -31,7 +32,29 @@ def write_ply(
     instrument: Instrument | None = None,
     overwrite: bool = False,
 ) -> None:
-    """One image as a binary PLY: x y z in metres, sRGB, every band and uncertainty."""
+    """Write an image as binary PLY: x y z in metres, sRGB, every band and uncertainty.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        One image.
+    path : str or pathlib.Path
+        Name of the file.
+    instrument : Instrument, optional
+        Instrument whose lens gives the direction of each pixel; by default the one that the image
+        describes.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
+    """
     points = image_points(image, instrument=instrument)
     content = ply_bytes(points, comments=plain_attributes(image))
     with staged(path, overwrite=overwrite) as partial:
@@ -39,7 +62,7 @@ def write_ply(
 
 
 def ply_bytes(points: Points, *, comments: dict[str, str]) -> bytes:
-    """The whole file."""
+    """Return the content of a PLY file with comments, which are written in ASCII."""
     columns = {
         **dict(zip("xyz", points.xyz.T, strict=True)),
         **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
@@ -49,10 +72,14 @@ def ply_bytes(points: Points, *, comments: dict[str, str]) -> bytes:
     records = np.empty(len(points.xyz), dtype=vertex)
     for name, values in columns.items():
         records[name] = values
+    remarks = ["metres; x right, y down, z from the camera along its axis"]
+    remarks += [f"unit {name}: {unit}" for name, unit in points.units.items()]
+    remarks += [f"{key}: {' '.join(value.split())}" for key, value in comments.items()]
     lines = ["ply", "format binary_little_endian 1.0"]
-    lines.append("comment metres; x right, y down, z from the camera along its axis")
-    lines += [f"comment unit {name}: {unit}" for name, unit in points.units.items()]
-    lines += [f"comment {key}: {' '.join(value.split())}" for key, value in comments.items()]
+    for remark in remarks:
+        text = ascii_text(remark)
+        parts = range(0, max(1, len(text)), LONGEST_COMMENT)
+        lines += [f"comment {text[at : at + LONGEST_COMMENT]}" for at in parts]
     lines.append(f"element vertex {len(records)}")
     for name, values in columns.items():
         kind = PROPERTY_TYPES.get(values.dtype.name)

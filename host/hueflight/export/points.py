@@ -1,6 +1,7 @@
-"""From an image to points in space, by the lens model; written as PLY or LAS.
+"""Point clouds from images, by the lens model of the instrument.
 
-Metres in the camera's frame: x right, y down, z along the optical axis away from the camera.
+Coordinates are metres in the frame of the camera: x right, y down, z along the optical axis away
+from the camera.
 """
 
 from __future__ import annotations
@@ -25,10 +26,14 @@ class Points:
 
     Attributes
     ----------
-    xyz : (point, 3) metres.
-    rgb : (point, 3) sRGB, 0 to 255.
-    fields : name → (point,) values: row, col, every plane and every band of the image.
-    units : name → unit of each field.
+    xyz : numpy.ndarray, shape (point, 3)
+        Coordinates in metres.
+    rgb : numpy.ndarray, uint8, shape (point, 3)
+        Colours in sRGB.
+    fields : dict of str to numpy.ndarray, shape (point,)
+        Row, column and the values of every plane and band of the image, by name.
+    units : dict of str to str
+        Unit of each field.
     """
 
     xyz: NDArray[np.float64]
@@ -38,12 +43,20 @@ class Points:
 
 
 def image_points(image: xr.Dataset, /, *, instrument: Instrument | None = None) -> Points:
-    """Points of one image.
+    """Compute the point cloud of an image.
 
     Parameters
     ----------
-    image : one image.
-    instrument : whose lens gives each pixel's direction; by default as the image describes.
+    image : xarray.Dataset
+        One image.
+    instrument : Instrument, optional
+        Instrument whose lens gives the direction of each pixel; by default the one that the image
+        describes.
+
+    Returns
+    -------
+    Points
+        The point cloud.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""PNG previews: one plane as a picture with its colour bar, unit and limits."""
+"""PNG previews: a plane of an image as a picture with colour bar, unit and limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MARGIN = 12
 BAR_WIDTH = 18
 TEXT_HEIGHT = 13
 LABEL_WIDTH = 76
-WANTED_SIDE = 480  #: small images are enlarged by whole factors towards this many pixels
+WANTED_SIDE = 480  #: small images are enlarged by integer factors towards this many pixels
 BACKGROUND = (255, 255, 255)
 INK = (32, 32, 32)
 TICKS = 5
@@ -37,18 +37,36 @@ def write_png(
     limits: tuple[float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """One plane of an image as a picture for people.
+    """Write one plane of an image as a PNG picture.
 
-    Pixels are enlarged by a whole factor and keep their sharp edges; those without a value
-    are grey. Limits, unit and origin are also in the file's text entries.
+    Pixels are enlarged by an integer factor without smoothing; pixels without a value are grey.
+    Limits, unit and metadata are also stored in the text entries of the file.
 
     Parameters
     ----------
-    image : one image.
-    variable : its name; ``"rgb"`` for colours from every band (from three bands if the image
-        does not describe its instrument), ``"three-band"`` for the paper's picture.
-    band : which, where the variable has one plane per band.
-    limits : values of the bar's ends; by default percentiles 1 and 99.
+    image : xarray.Dataset
+        One image.
+    path : str or pathlib.Path
+        Name of the file.
+    variable : str
+        Name of the variable; ``"rgb"`` for colours from all bands (from three bands if the image
+        does not describe its instrument), ``"three-band"`` for the false-colour picture of the
+        paper.
+    band : int, optional
+        Index of the band, for variables with one plane per band.
+    limits : tuple of float, optional
+        Values at the ends of the colour bar; by default the percentiles 1 and 99.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
     """
     picture, entries = _picture(image, variable, band, limits)
     png = import_optional("PIL.PngImagePlugin", extra="export")
@@ -60,7 +78,26 @@ def write_png(
 
 
 def write_previews(image: xr.Dataset, folder: str | Path, /, *, overwrite: bool = False) -> None:
-    """A folder of pictures: RGB, depth, its uncertainty, photons, every band."""
+    """Write a folder of pictures: RGB, depth, its uncertainty, photons and every band.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        One image.
+    folder : str or pathlib.Path
+        Name of the folder.
+    overwrite : bool
+        Whether an existing folder of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
+    """
     require_image(image)
     planes = [name for name in ("depth", "depth_std", "photons", "background") if name in image]
     wanted: list[tuple[str, str, int | None]] = [(name, name, None) for name in ("rgb", *planes)]
@@ -75,7 +112,7 @@ def write_previews(image: xr.Dataset, folder: str | Path, /, *, overwrite: bool 
 def _picture(
     image: xr.Dataset, variable: str, band: int | None, limits: tuple[float, float] | None
 ) -> tuple[Any, dict[str, str]]:
-    """The picture (a Pillow image) and what to write into the file about it."""
+    """Return the picture (a Pillow image) and the text entries that describe it."""
     require_image(image)
     if SERIES_DIM in image.dims:
         raise ExportError(f"a picture shows one image: select one {SERIES_DIM!r} of the series")
@@ -118,7 +155,7 @@ def _plane(image: xr.Dataset, variable: str, band: int | None) -> NDArray[np.flo
 def _percentiles(plane: NDArray[np.float64]) -> tuple[float, float]:
     known = plane[np.isfinite(plane)]
     if not known.size:
-        return 0.0, 1.0  # an empty plane is all grey, whatever the bar says
+        return 0.0, 1.0  # a plane without values is all grey
     low, high = (float(v) for v in np.percentile(known, (1, 99)))
     return (low, high) if low < high else (low - 0.5, low + 0.5)
 
@@ -130,7 +167,7 @@ def _enlarged(pixels: NDArray[np.uint8]) -> Any:
 
 
 def _with_bar(pixels: NDArray[np.uint8], title: str, low: float, high: float) -> Any:
-    """Title above, colour bar on the right."""
+    """Return the picture with a title above and a colour bar on the right."""
     pil, draw_module = (
         import_optional("PIL.Image", extra="export"),
         import_optional("PIL.ImageDraw", extra="export"),

@@ -1,4 +1,4 @@
-"""Zarr stores and NetCDF files: the whole image with its labels, as xarray reads it."""
+"""Zarr stores and NetCDF files, which hold the complete image with its labels."""
 
 from __future__ import annotations
 
@@ -8,20 +8,38 @@ from typing import Any
 import xarray as xr
 
 from hueflight.export.description import with_conventions
-from hueflight.export.hdf5 import patient_file
+from hueflight.export.hdf5 import buffering_file
 from hueflight.files import ZARR_FORMAT, import_optional, staged, write_checksums
 from hueflight.files.image_schema import SERIES_DIM, require_image
 
 
 def write_zarr(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
-    """Image or series as a Zarr store, one chunk per capture and variable.
+    """Write an image or series as a Zarr store, with one chunk per capture and variable.
 
-    Zarr format 2 with consolidated metadata: every Zarr library reads it, and format 3 has no
-    settled way to write the bands' names yet. A list of all files with their checksums lies
-    beside them, which `hueflight.importers.read_image` holds the store against.
+    The store has Zarr format 2 with consolidated metadata, which every Zarr library reads; format 3
+    has no standard yet for arrays of text, such as the names of the bands. A list of the checksums
+    of all files is stored with them, which `hueflight.importers.read_image` verifies.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Image or series.
+    path : str or pathlib.Path
+        Name of the store.
+    overwrite : bool
+        Whether an existing store of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
     """
     require_image(image)
-    # without traces of the file it was read from, which may not fit the new one
+    # without the encoding of the file that it was read from, which may not fit the new one
     described = with_conventions(image).drop_encoding()
     encoding: dict[Any, dict[str, Any]] = {
         name: {
@@ -40,13 +58,32 @@ def write_zarr(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
 
 
 def write_netcdf(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
-    """Image or series as a NetCDF-4 file, compressed without loss."""
+    """Write an image or series as a NetCDF-4 file with lossless compression.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Image or series.
+    path : str or pathlib.Path
+        Name of the file.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
+    """
     require_image(image)
     import_optional("h5netcdf", extra="export")
-    # without traces of the file it was read from, which may not fit the new one
+    # without the encoding of the file that it was read from, which may not fit the new one
     described = with_conventions(image).drop_encoding()
     encoding: dict[Any, dict[str, Any]] = {
         name: {"zlib": True, "shuffle": True} for name in described.data_vars
     }
-    with staged(path, overwrite=overwrite) as partial, patient_file(partial) as file:
+    with staged(path, overwrite=overwrite) as partial, buffering_file(partial) as file:
         described.to_netcdf(file, engine="h5netcdf", encoding=encoding)

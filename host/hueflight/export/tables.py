@@ -1,8 +1,7 @@
-"""Spectra of regions as CSV, for spreadsheets and statistics."""
+"""Spectra of regions as CSV, for spreadsheets and statistics software."""
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,16 +29,31 @@ def write_csv(
     regions: Mapping[str, Region] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Mean spectra of regions as CSV, one line per region and band.
+    """Write the mean spectra of regions as CSV, with one line per region and band.
 
-    Lines that begin with ``#`` say where the numbers come from. Numbers that can't be known
-    are empty. A series has the column `capture` in front.
+    Lines that begin with ``#`` hold the metadata of the image; names that contain this character
+    are quoted. Unknown numbers are empty. A series has `capture` as its first column.
 
     Parameters
     ----------
-    image : image or series.
-    regions : name → mask or slices, as for `hueflight.analysis.region_spectra`; by default
-        the whole image.
+    image : xarray.Dataset
+        Image or series.
+    path : str or pathlib.Path
+        Name of the file.
+    regions : Mapping of str to Region, optional
+        Masks or slices by name, as for `hueflight.analysis.region_spectra`; by default the whole
+        image.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
     """
     require_image(image)
     chosen = regions or {WHOLE: np.ones((image.sizes["row"], image.sizes["col"]), dtype=bool)}
@@ -48,14 +62,14 @@ def write_csv(
     text = io.StringIO(newline="")
     for key, value in plain_attributes(image).items():
         text.write(f"# {key}: {' '.join(value.split())}\r\n")
-    writer = csv.writer(text)
-    writer.writerow(([SERIES_DIM] if series else []) + list(COLUMNS))
+    rows = [([SERIES_DIM] if series else []) + list(COLUMNS)]
     if series:
         for name in image[SERIES_DIM].values:
             one = spectra.sel({SERIES_DIM: name})
-            writer.writerows([str(name), *line] for line in _lines(image, one))
+            rows += [[str(name), *line] for line in _lines(image, one)]
     else:
-        writer.writerows(_lines(image, spectra))
+        rows += _lines(image, spectra)
+    text.writelines(",".join(map(_field, row)) + "\r\n" for row in rows)
     with staged(path, overwrite=overwrite) as partial:
         partial.write_text(text.getvalue(), encoding="utf-8", newline="")
 
@@ -84,3 +98,10 @@ def _lines(image: xr.Dataset, spectra: xr.Dataset) -> list[list[str]]:
 def _number(value: xr.DataArray) -> str:
     number = float(value)
     return repr(number) if np.isfinite(number) else ""
+
+
+def _field(text: str) -> str:
+    """Return a field of a line, quoted as in RFC 4180 where necessary, and where it has a #."""
+    if any(character in text for character in ',"\r\n#'):
+        return '"' + text.replace('"', '""') + '"'
+    return text

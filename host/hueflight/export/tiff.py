@@ -1,4 +1,4 @@
-"""Multi-page TIFF: every plane of an image as one page that says what it is."""
+"""Multi-page TIFF: every plane of an image is a page with its description."""
 
 from __future__ import annotations
 
@@ -17,15 +17,34 @@ from hueflight.files import import_optional, staged
 from hueflight.files.image_schema import captures, layers, require_image
 
 PAGE_NAME_TAG = 285
-CLASSIC_LIMIT = 2**32 - 2**25  #: bytes a classic TIFF can address, less room for its tags
+CLASSIC_LIMIT = 2**32 - 2**25  #: bytes that a classic TIFF can address, minus room for its tags
 
 
 def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
-    """Image or series as a multi-page TIFF.
+    """Write an image or series as a multi-page TIFF.
 
-    One page for each variable, or for each of its bands; float32, quality flags uint16. A
-    page's name (tag 285) is for people; its description is JSON with the variable, capture,
-    band, wavelength, width and units, and on the first page the origin of the whole.
+    There is one page for each variable, or for each of its bands, as float32; quality flags are
+    uint16. Each page has a readable name (tag 285) and a description as JSON with variable,
+    capture, band, wavelength, spectral width and units. The first page also holds the metadata of
+    the image.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        Image or series.
+    path : str or pathlib.Path
+        Name of the file.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the format can't hold the image.
+    OutputError
+        If the file exists already or can't be written.
     """
     require_image(image)
     tifffile = import_optional("tifffile", extra="export")
@@ -39,7 +58,7 @@ def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
             writer.write(
                 plane,
                 photometric="minisblack",
-                metadata=None,  # tifffile's own description would hide ours
+                metadata=None,  # otherwise tifffile writes a description of its own
                 description=json.dumps(about),
                 software=image.attrs.get("software", "hueflight"),
                 extratags=[(PAGE_NAME_TAG, "s", 0, _ascii(name), True)],
@@ -47,7 +66,7 @@ def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
 
 
 def storable(plane: NDArray[Any], name: str) -> NDArray[Any]:
-    """The plane in a type that TIFF readers know."""
+    """Return the plane in a type that TIFF readers support."""
     if plane.dtype.kind == "b":
         return plane.astype(np.uint8)
     if plane.dtype.name not in ("uint8", "uint16", "uint32", "int16", "int32", "float32"):

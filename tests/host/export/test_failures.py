@@ -9,7 +9,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 
 import hueflight as hf
 from hueflight.errors import ExportError, MissingPackageError, OutputError
-from hueflight.export import FORMATS, write, write_histogram, write_photons
+from hueflight.export import FORMATS, formats, write, write_histogram, write_photons
 from hueflight.files import staged
 
 
@@ -200,3 +202,17 @@ def test_packages_that_are_missing_are_named(
         MissingPackageError, match=r"package 'tifffile': pip install 'hueflight\[export\]'"
     ):
         write(image, tmp_path / "x.tif")
+
+
+def test_a_format_of_another_package(
+    image: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write_text(image: xr.Dataset, path: Path, /, *, overwrite: bool, unit: str = "m") -> None:
+        path.write_text(f"{float(image['depth'].mean())} {unit}", encoding="utf-8")
+
+    theirs = formats.Format("text", (".txt",), write_text, False, "a line of text")
+    monkeypatch.setitem(sys.modules, "their_package", SimpleNamespace(TEXT=theirs))
+    entry = EntryPoint("text", "their_package:TEXT", formats.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(formats, "entry_points", lambda group: [entry])
+    assert formats.write(image, tmp_path / "a.txt", unit="metres") == [tmp_path / "a.txt"]
+    assert (tmp_path / "a.txt").read_text("utf-8").endswith(" metres")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import hueflight as hf
 from hueflight.errors import ExportError, ImageError
-from hueflight.export import image_points, write
+from hueflight.export import image_points, write, write_las, write_ply
 
 # scalar types of "The PLY Polygon File Format", G. Turk, 1994
 PLY_TYPES = {
@@ -151,3 +151,37 @@ def test_series_becomes_numbered_clouds(series: xr.Dataset, tmp_path: Path) -> N
         known = np.isfinite(series["depth"][0].values)
         expected = series["reflectance"][0].values[known][:, 0] * np.float32(factor)
         np.testing.assert_array_equal(found["reflectance_659nm"], expected)
+
+
+def read_ply_header(path: Path) -> list[bytes]:
+    """Return the lines of the header."""
+    return path.read_bytes().partition(b"end_header\n")[0].splitlines()
+
+
+def test_names_beyond_ascii_are_transliterated(image: xr.Dataset, tmp_path: Path) -> None:
+    named = image.assign_attrs(instrument="Caméra du labo λ")
+    write_las(named, tmp_path / "a.LAS")
+    with laspy.open(tmp_path / "a.LAS") as file:
+        assert file.header.system_identifier == "Camera du labo \\u03bb"
+    write_ply(named, tmp_path / "a.ply")
+    assert b"comment instrument: Camera du labo \\u03bb" in read_ply_header(tmp_path / "a.ply")
+    assert b"".join(read_ply_header(tmp_path / "a.ply")).isascii()
+
+
+def test_long_comments_are_split(image: xr.Dataset, tmp_path: Path) -> None:
+    text = "".join(chr(97 + number % 26) for number in range(2500))
+    write_ply(image.assign_attrs(remark=text), tmp_path / "a.ply")
+    lines = read_ply_header(tmp_path / "a.ply")
+    assert max(len(line) for line in lines) < 1000
+    comments = b"".join(line.removeprefix(b"comment ") for line in lines)
+    assert text.encode() in comments
+
+
+def test_clouds_beyond_the_range_of_the_usual_resolution(image: xr.Dataset, tmp_path: Path) -> None:
+    write_las(image, tmp_path / "near.las")
+    far = image.assign(depth=image["depth"] * 1e5)  # 40 km
+    write_las(far, tmp_path / "far.las")
+    near, distant = laspy.read(tmp_path / "near.las"), laspy.read(tmp_path / "far.las")
+    assert (near.header.scales == 1e-5).all()
+    assert np.asarray(distant.z).max() > 21_475
+    np.testing.assert_allclose(distant.z, np.asarray(near.z) * 1e5, atol=1)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from hueflight.analysis import region_spectra
 from hueflight.errors import HueflightError
-from hueflight.export import write
+from hueflight.export import write, write_csv
 from hueflight.reconstruction.quality import Quality
 
 REGIONS = {"left": (slice(2, 12), slice(0, 5)), "right": (slice(2, 12), slice(8, 14))}
@@ -68,3 +68,14 @@ def test_regions_outside_are_named(image: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(HueflightError, match="give a boolean mask"):
         write(image, tmp_path / "s.csv", regions={"odd": np.zeros((3, 3))})
     assert not list(tmp_path.iterdir())
+
+
+def test_names_with_the_character_of_comments(image: xr.Dataset, tmp_path: Path) -> None:
+    names = [f'IR #{number}, "near"' for number in range(image.sizes["band"])]
+    named = image.assign_coords(band_name=("band", names))
+    everything = np.ones((image.sizes["row"], image.sizes["col"]), dtype=bool)
+    write_csv(named, tmp_path / "a.csv", regions={"#1": everything})
+    table = pd.read_csv(tmp_path / "a.csv", comment="#")
+    assert table["band"].tolist() == names
+    assert set(table["region"]) == {"#1"}
+    assert table["pixels"].notna().all()

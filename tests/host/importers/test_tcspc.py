@@ -55,11 +55,13 @@ def counts() -> NDArray[np.uint16]:
     return drawn
 
 
-def write_ptu(path: Path, counts: NDArray[Any], **options: Any) -> None:
+def write_ptu(
+    path: Path, counts: NDArray[Any], *, period_ns: float = PERIOD_NS, **options: Any
+) -> None:
     ptufile.imwrite(
         path,
         np.ascontiguousarray(counts),
-        global_resolution=PERIOD_NS * 1e-9,
+        global_resolution=period_ns * 1e-9,
         tcspc_resolution=BIN_NS * 1e-9,
         **options,
     )
@@ -129,17 +131,16 @@ def test_ptu_photons_beyond_the_period_are_folded(camera: hf.Instrument, tmp_pat
     cube = np.zeros((ROWS, COLS, 110), np.uint16)
     cube[..., 7], cube[..., 49], cube[..., 50], cube[..., 57], cube[..., 107] = 1, 2, 4, 8, 16
     path = tmp_path / "a.ptu"
-    sync = {"global_resolution": 19.9e-9, "tcspc_resolution": BIN_NS * 1e-9}
-    ptufile.imwrite(path, cube, **sync)
+    write_ptu(path, cube, period_ns=19.9)
     found, _ = read_counts(path, short)
     wanted = {7: 1 + 8, 49: 2, 0: 4, 8: 16}  # bin 107: 43.0 - 39.8 = 3.2 ns
     for code, count in wanted.items():
         assert (found[..., code] == count).all(), code
     assert found.sum() == cube.sum()
     # every second pulse of the light is a sync pulse
-    ptufile.imwrite(path, cube, **sync | {"global_resolution": 39.8e-9})
+    write_ptu(path, cube, period_ns=39.8)
     np.testing.assert_array_equal(read_counts(path, short)[0], found)
-    ptufile.imwrite(path, cube, **sync | {"global_resolution": 50e-9})
+    write_ptu(path, cube, period_ns=50.0)
     with pytest.raises(InstrumentError, match=r"photons beyond the period of 19\.9 ns .* 50 ns"):
         read_counts(path, short)
 

@@ -1,4 +1,4 @@
-"""What came of a run of the daemon: tables, a plot, and both in the documentation."""
+"""Results of a run of the daemon: tables and a plot, which can be written to the documentation."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Real photons: 340 × 340 pixels of a mannequin's face, scanned one after another.
 
-The set says when photons came, in steps of 8 ps, and nothing of the laser's pulse; its shape is
-taken from the photons themselves, lined up by the depth found so far.
+The data state the arrival times of photons in steps of 8 ps, but not the shape of the laser pulse,
+which is estimated from the photons, aligned by the depth found so far.
 """
 
 from __future__ import annotations

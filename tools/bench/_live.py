@@ -1,4 +1,4 @@
-"""A producer process sends packets over a socket; this one receives, checks, counts, records."""
+"""A producer process sends packets over a socket; this process checks, counts and records them."""
 
 from __future__ import annotations
 

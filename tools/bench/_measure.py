@@ -1,4 +1,4 @@
-"""Timing of contenders against one another: in the same process, in turn, the best of many."""
+"""Timing of several functions in the same process, alternately; the best of many runs counts."""
 
 from __future__ import annotations
 

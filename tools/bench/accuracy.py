@@ -1,4 +1,4 @@
-"""Error against run time of every way to an image: a table, a plot, and the limits that must hold.
+"""Error against run time of every method: a table, a plot, and the limits that must hold.
 
     python3 tools/dev.py bench accuracy [--quick] [--write]
 

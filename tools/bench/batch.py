@@ -1,4 +1,4 @@
-"""Many captures on one worker, on two, and on a Dask cluster: how speed and memory go.
+"""Speed and memory of many captures on one worker, on two, and on a Dask cluster.
 
     python3 tools/dev.py bench batch [CAPTURES] [METHOD]
 

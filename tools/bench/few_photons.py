@@ -1,4 +1,4 @@
-"""Few photons per pixel, and schedules that take turns: accuracy, speed, pictures.
+"""Few photons per pixel, and interleaved schedules: accuracy, speed and pictures.
 
     python3 tools/dev.py bench few_photons                    all of it, some minutes
     python3 tools/dev.py bench few_photons scene speed        some sections

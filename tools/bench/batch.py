@@ -8,7 +8,7 @@ their start (a second or two) counts.
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 import time
 from pathlib import Path
@@ -24,8 +24,11 @@ from hueflight.importers.captures import write_counts
 
 
 def main() -> None:
-    captures = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    method = sys.argv[2] if len(sys.argv) > 2 else "paper"
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("captures", type=int, nargs="?", default=200, help="number of captures")
+    parser.add_argument("method", nargs="?", default="paper", help="method of reconstruction")
+    arguments = parser.parse_args()
+    captures, method = arguments.captures, arguments.method
     instrument = hf.Instrument.load("paper")
     reference = simulator.simulate_capture("reference", instrument, frames=2000)
     calibration = hf.calibrate(reference, instrument, distance=0.4)
@@ -35,7 +38,7 @@ def main() -> None:
         first = Path(folder) / "first.npz"
         write_counts(first, simulator.simulate_histogram(scene, instrument, frames=500), instrument)
         counts = np.load(first)["histogram"]
-        for path in paths:  # the same photons under many names: only the work counts here
+        for path in paths:  # the same counts under many names, since only the time matters here
             np.save(path, counts)
         common: dict[str, Any] = {"calibration": calibration, "options": {"method": method}}
         runs: list[tuple[str, float, BatchReport]] = []

@@ -3,6 +3,7 @@
 import inspect
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,7 @@ from hueflight.ingest import numpy_kernels
 
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT / "tools"))
-from generate_kernel_headers import headers  # noqa: E402
+headers = import_module("generate_kernel_headers").headers
 
 
 @pytest.mark.parametrize("path", headers(), ids=lambda path: path.parts[-3])

@@ -70,6 +70,8 @@ FIT_RULES = Record(
         Field("few_photons", "float32", "up to which few_steps are taken"),
         Field("posterior_photons", "float32", "up to which the posterior is evaluated"),
         Field("node_spacing", "float32", "between nodes, standard deviations"),
+        Field("certain_photons", "float32", "from which detection is not tested"),
+        Field("detection_share", "float32", "least share of background in that test"),
         Field("spread_ns", "float32", "deviation of the delay of one photon"),
         Field("low_ns", "float32", "least delay"),
         Field("high_ns", "float32", "greatest delay"),
@@ -130,6 +132,7 @@ FIT = Function(
         Buffer("amplitudes", "float64", "(pixel, band)"),
         Buffer("amplitude_std", "float64", "(pixel, band)"),
         Buffer("background", "float64", "(pixel,)"),
+        Buffer("detection", "float64", "(pixel,) twice a log-likelihood ratio, or NaN"),
         Buffer("steps", "uint8", "(pixel,)"),
     ),
 )

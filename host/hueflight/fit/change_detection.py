@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.backend.fit import REFERENCE_MULTIPLE
-from hueflight.fit.reference import FLOOR_PHOTONS, FLOOR_SHARE, Fit, by_phase
-from hueflight.fit.tables import ModelTables
+from hueflight.fit.reference import FLOOR_PHOTONS, FLOOR_SHARE, Fit
+from hueflight.fit.tables import ModelTables, by_phase
 
 
 def change_reference(

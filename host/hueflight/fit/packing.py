@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.backend.fit import FIT_RULES, TABLE_SIZES
-from hueflight.fit import reference
+from hueflight.fit import detection, reference
 from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables, SearchTables
 
 
@@ -206,6 +206,8 @@ def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void
         few_photons=reference.FEW_PHOTONS,
         posterior_photons=reference.POSTERIOR_PHOTONS,
         node_spacing=reference.NODE_SPACING,
+        certain_photons=detection.CERTAIN_PHOTONS,
+        detection_share=detection.BACKGROUND_SHARE,
         spread_ns=tables.spread_ns,
         low_ns=tables.search_ns[0],
         high_ns=tables.search_ns[1],

@@ -18,7 +18,6 @@ Everything here works on many pixels at once; `hueflight/fit/_c` holds the same 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.backend.fit import LEAST_AMPLITUDE, LEAST_SHARE
-from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables, SearchTables
+from hueflight.fit import detection
+from hueflight.fit.tables import (
+    BACKGROUND_SHARES,
+    DelayTables,
+    ModelTables,
+    SearchTables,
+    by_phase,
+)
 
 MOST_STEPS = 6  #: of scoring at the full bin width
 SETTLED = 0.3  #: a delay that moves by less than this share of its deviation has settled
@@ -91,6 +97,9 @@ class Fit:
         Photons of each band, and their standard deviation.
     background : ndarray of float, shape (pixel,)
         Photons over all bins.
+    detection : ndarray of float, shape (pixel,)
+        Twice the log-likelihood ratio against background alone; NaN for a delay that is known too
+        well to come from background.
     steps : ndarray of uint8, shape (pixel,)
         Steps of scoring at the fine bins.
     """
@@ -101,6 +110,7 @@ class Fit:
     amplitudes: NDArray[np.float64]
     amplitude_std: NDArray[np.float64]
     background: NDArray[np.float64]
+    detection: NDArray[np.float64]
     steps: NDArray[np.uint8]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -149,7 +159,7 @@ def no_fit(pixels: int, bands: int) -> Fit:
     Fit
         The empty fit.
     """
-    delay, deviation, other, background = np.zeros((4, pixels))
+    delay, deviation, other, background, ratio = np.zeros((5, pixels))
     amplitudes, amplitude_std = np.zeros((2, pixels, bands))
     return Fit(
         delay_ns=delay,
@@ -158,6 +168,7 @@ def no_fit(pixels: int, bands: int) -> Fit:
         amplitudes=amplitudes,
         amplitude_std=amplitude_std,
         background=background,
+        detection=ratio,
         steps=np.zeros(pixels, np.uint8),
     )
 
@@ -242,13 +253,24 @@ def fit(
     variance *= 1 + (bands + 2) / total
     # a count's posterior is half a photon wider than the count (Jeffreys' prior)
     amplitude_variance = np.einsum("paa->pa", state.covariance)[:, :bands] + 0.5
+    delay = np.clip(delay, low, high)
+    ratio = np.full(len(counts), np.nan)
+    tested = np.flatnonzero(variance > tables.spread_ns**2 / detection.CERTAIN_PHOTONS)
+    ratio[tested] = detection.log_likelihood_ratio(
+        tables.search.summed(counts[tested]),
+        delay[tested],
+        state.amplitudes[tested],
+        state.background[tested],
+        tables,
+    )
     return Fit(
-        delay_ns=np.clip(delay, low, high) - offsets_ns,
+        delay_ns=delay - offsets_ns,
         delay_std_ns=np.sqrt(variance),
         other_ns=other - offsets_ns,
         amplitudes=state.amplitudes,
         amplitude_std=np.sqrt(amplitude_variance),
         background=state.background,
+        detection=ratio,
         steps=steps,
     )
 
@@ -433,26 +455,6 @@ def _step(
         covariance=covariance,
         cubic=cubic,
     )
-
-
-def by_phase(phase: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-    """Yield each phase that occurs, and its pixels.
-
-    Parameters
-    ----------
-    phase : ndarray of int, shape (pixel,)
-        Phase of each pixel.
-
-    Yields
-    ------
-    tuple of int and ndarray of int
-        A phase and the numbers of its pixels.
-    """
-    order = np.argsort(phase, kind="stable")
-    values, first = np.unique(phase[order], return_index=True)
-    parts = np.split(order, first[1:]) if phase.size else []
-    for value, chosen in zip(values, parts, strict=True):
-        yield int(value), chosen
 
 
 # -- likelihood -------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ by side, and their delay and amplitudes are common.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, floor
 
@@ -372,3 +372,23 @@ def _spread(level: DelayTables, white: NDArray[np.float64]) -> float:
     slope = white @ level.slopes[middle]
     lit = mean > 1e-6 * mean.max()
     return float(1 / np.sqrt(np.sum(slope[lit] ** 2 / mean[lit]) / mean.sum()))
+
+
+def by_phase(phase: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Group pixels by the delay of their tables.
+
+    Parameters
+    ----------
+    phase : ndarray of int, shape (pixel,)
+        Index of each pixel's delay in the tables.
+
+    Yields
+    ------
+    tuple of int and ndarray of int
+        An index, and the pixels that have it.
+    """
+    order = np.argsort(phase, kind="stable")
+    values, first = np.unique(phase[order], return_index=True)
+    parts = np.split(order, first[1:]) if phase.size else []
+    for value, chosen in zip(values, parts, strict=True):
+        yield int(value), chosen

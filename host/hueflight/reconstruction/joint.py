@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import isfinite
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
+from hueflight.fit.detection import threshold
 from hueflight.fit.reference import Fit
 from hueflight.fit.solver import fit_pixels, photon_sums
 from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
@@ -24,6 +26,7 @@ from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reflectance import reflectance_scale
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
+LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
 
 _kept_tables: WeakKeyDictionary[Calibration, dict[tuple[float, float], ModelTables]] = (
     WeakKeyDictionary()
@@ -279,12 +282,18 @@ def in_metres(
     everywhere = bool(chosen.all())
     blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
     low_signal = ~(found.delay_std_ns < blind_ns)
+    no_return = found.detection < threshold(search_ns)
+    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
+    behind = calibration.distance + found.delay_ns * along_axis[chosen] <= 0
+    low_ns, high_ns = search_ns[0] + LIMIT_NS, search_ns[1] - LIMIT_NS
+    outside = (found.delay_ns <= low_ns) | (found.delay_ns >= high_ns) | behind
+    unknown = low_signal | no_return | outside
 
     def plane(values: NDArray[np.float64], *, told: bool = True) -> NDArray[np.float64]:
         """As (…, row, col), but in memory as the fit gives it; NaN where nothing is told."""
-        if told and low_signal.any():
+        if told and unknown.any():
             values = values.copy()
-            values[low_signal] = np.nan
+            values[unknown] = np.nan
         if everywhere:
             filled = values.reshape(rows, cols, *values.shape[1:])
         else:
@@ -292,13 +301,18 @@ def in_metres(
             filled[chosen] = values
         return np.moveaxis(filled, (0, 1), (-2, -1))
 
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
     known_ns = calibration.pixel_delay_std_ns[chosen]
     depth = calibration.distance + plane(found.delay_ns) * along_axis
     depth_std = plane(np.hypot(found.delay_std_ns, known_ns)) * along_axis
     other = calibration.distance + plane(found.other_ns) * along_axis
 
-    quality = _quality(calibration, found, chosen, low_signal)
+    flags = {
+        Quality.LOW_SIGNAL: low_signal,
+        Quality.NO_RETURN: no_return,
+        Quality.OUT_OF_RANGE: outside & ~no_return,
+        Quality.AMBIGUOUS: np.isfinite(found.other_ns) & ~unknown,
+    }
+    quality = _quality(calibration, chosen, flags)
     scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
@@ -325,20 +339,18 @@ def in_metres(
 
 def _quality(
     calibration: Calibration,
-    found: Fit,
     chosen: NDArray[np.bool_],
-    unknown: NDArray[np.bool_],
+    flags: Mapping[Quality, NDArray[np.bool_]],
 ) -> NDArray[np.uint16]:
-    """Flags (row, col); of the chosen pixels, `unknown` (pixel,) are those that tell nothing."""
+    """Return flags (row, col); `flags` are those of the chosen pixels (pixel,)."""
     quality = np.zeros(chosen.shape, np.uint16)
     quality[calibration.dead] |= int(Quality.DEAD)
     quality[calibration.hot] |= int(Quality.HOT)
-    low_signal = calibration.usable.copy()
-    low_signal[chosen] = unknown
-    quality[low_signal] |= int(Quality.LOW_SIGNAL)
-    two = np.zeros_like(low_signal)
-    two[chosen] = np.isfinite(found.other_ns)
-    quality[two] |= int(Quality.AMBIGUOUS)
+    quality[calibration.usable & ~chosen] |= int(Quality.LOW_SIGNAL)
+    of_chosen = np.zeros(int(chosen.sum()), np.uint16)
+    for flag, pixels in flags.items():
+        of_chosen[pixels] |= int(flag)
+    quality[chosen] |= of_chosen
     return quality
 
 

@@ -23,6 +23,10 @@ class Quality(IntFlag):
         A second depth is nearly as likely.
     SKIPPED : int
         The pixel was left out on request.
+    NO_RETURN : int
+        Background alone explains the counts: no surface was detected.
+    OUT_OF_RANGE : int
+        The best delay lies at the end of the searched range, or behind the camera.
     """
 
     DEAD = 1
@@ -31,4 +35,6 @@ class Quality(IntFlag):
     SATURATED = 8
     AMBIGUOUS = 16
     SKIPPED = 32
+    NO_RETURN = 64
+    OUT_OF_RANGE = 128
     STARVED = LOW_SIGNAL

@@ -4,7 +4,7 @@
 #define HUEFLIGHT_FIT_ABI_H
 #include <stdint.h>
 
-#define ABI "6964bdc9be6308a5" /* hash of what follows */
+#define ABI "00b32e0baca66e55" /* hash of what follows */
 
 enum { MOST_BANDS = 30 }; /* bands that there is room for */
 enum { MOST_NODES = 32 }; /* delays of the posterior that there is room for */
@@ -60,6 +60,8 @@ typedef struct {
     float few_photons; /* up to which few_steps are taken */
     float posterior_photons; /* up to which the posterior is evaluated */
     float node_spacing; /* between nodes, standard deviations */
+    float certain_photons; /* from which detection is not tested */
+    float detection_share; /* least share of background in that test */
     float spread_ns; /* deviation of the delay of one photon */
     float low_ns; /* least delay */
     float high_ns; /* greatest delay */
@@ -68,7 +70,7 @@ typedef struct {
     int32_t settle; /* end when a delay has settled */
     int32_t posterior; /* evaluate the posterior of the fewest photons */
 } FitRules;
-_Static_assert(sizeof(FitRules) == 116, "FitRules is laid out as NumPy lays it out");
+_Static_assert(sizeof(FitRules) == 124, "FitRules is laid out as NumPy lays it out");
 
 /* What all pixels of a correlation share; lags in bins. */
 typedef struct {
@@ -118,9 +120,10 @@ enum {
     FIT_AMPLITUDES = 31, /* float64: (pixel, band) */
     FIT_AMPLITUDE_STD = 32, /* float64: (pixel, band) */
     FIT_BACKGROUND = 33, /* float64: (pixel,) */
-    FIT_STEPS = 34, /* uint8: (pixel,) */
+    FIT_DETECTION = 34, /* float64: (pixel,) twice a log-likelihood ratio, or NaN */
+    FIT_STEPS = 35, /* uint8: (pixel,) */
     FIT_READS = 28,
-    FIT_BUFFERS = 35
+    FIT_BUFFERS = 36
 };
 
 /* change_reference: what later counts are compared with, see hueflight/fit/change_detection.py */

@@ -1,6 +1,6 @@
 /* The joint fit of a tile of pixels: counts at all bin widths, search, scoring, likelihood. */
 typedef struct {
-    double *delay, *deviation, *other, *amplitudes, *amplitude_std, *background;
+    double *delay, *deviation, *other, *amplitudes, *amplitude_std, *background, *detection;
     uint8_t *steps;
 } Results;
 
@@ -148,6 +148,11 @@ INLINE void fit_tile(const ModelTables *tables, const Light *light, const int64_
         results->other[at] = (double)(others[p] - local[p]);
         results->background[at] = (double)candidate->background;
         results->steps[at] = (uint8_t)candidate->steps;
+        results->detection[at] = (double)NAN;
+        if (variance > rules->spread_ns * rules->spread_ns / rules->certain_photons)
+            results->detection[at] = (double)likelihood_ratio(
+                tables, scratch->wide + (size_t)p * scratch->wide_stride, totals[p], delay, candidate,
+                scratch->work);
         for (int k = 0; k < tables->bands; k++) {
             size_t place = at * (size_t)tables->bands + (size_t)k;
             results->amplitudes[place] = (double)candidate->amplitudes[k];

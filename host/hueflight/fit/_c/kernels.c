@@ -15,6 +15,7 @@
 #include "scoring.h"
 #include "search.h"
 #include "likelihood.h"
+#include "detection.h"
 #include "counts.h"
 #include "fit.h"
 #include "change_detection.h"
@@ -218,12 +219,14 @@ static int run_fit(Call *call)
         || !holds(call, FIT_OFFSETS, 4) || !holds(call, FIT_DELAY_NS, 8)
         || !holds(call, FIT_DELAY_STD_NS, 8) || !holds(call, FIT_OTHER_NS, 8)
         || !holds(call, FIT_AMPLITUDES, each) || !holds(call, FIT_AMPLITUDE_STD, each)
-        || !holds(call, FIT_BACKGROUND, 8) || !holds(call, FIT_STEPS, 1))
+        || !holds(call, FIT_BACKGROUND, 8) || !holds(call, FIT_DETECTION, 8)
+        || !holds(call, FIT_STEPS, 1))
         return refuse("fit: buffers do not fit one another");
     Results results = {
         .delay = held[FIT_DELAY_NS].buf, .deviation = held[FIT_DELAY_STD_NS].buf,
         .other = held[FIT_OTHER_NS].buf, .amplitudes = held[FIT_AMPLITUDES].buf,
         .amplitude_std = held[FIT_AMPLITUDE_STD].buf, .background = held[FIT_BACKGROUND].buf,
+        .detection = held[FIT_DETECTION].buf,
         .steps = held[FIT_STEPS].buf,
     };
     Scratch scratch;

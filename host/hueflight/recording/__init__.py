@@ -17,7 +17,7 @@
 """
 
 from hueflight.recording.reader import Recording, RecordingInfo, open_recording
-from hueflight.recording.recover import Outcome, Recovery, recover
+from hueflight.recording.recovery import Outcome, Recovery, recover
 from hueflight.recording.writer import RecordingWriter
 
 __all__ = [

@@ -1,7 +1,7 @@
-"""Which frames were lost, and where: of every frame that the camera exposed it is said.
+"""Frame accounting: what became of every frame that the camera exposed.
 
-Of the frames of a run, delivered + dropped + aborted + lost on the way = exposed (rule F14 of the
-protocol). What the camera dropped while the host asked for nothing is the host's loss.
+In a run, frames delivered + dropped + aborted + lost in transit = frames exposed (rule F14 of the
+protocol). What the camera dropped while the host asked for no data is a loss of the host.
 """
 
 from __future__ import annotations
@@ -17,11 +17,17 @@ class Losses:
 
     Attributes
     ----------
-    sensor : the sensor sent too few or too many codes, and the camera gave the frame up.
-    fpga : dropped or aborted by the camera for want of room, with the host asking for data.
-    usb : sent, or due to be sent while the link was away, and never arrived intact.
-    host : dropped by the camera while the host was too busy to ask for data.
-    disk : delivered while recording, but not written.
+    sensor : int
+        Frames that the camera gave up because the sensor sent too few or too many codes.
+    fpga : int
+        Frames that the camera dropped or aborted for want of memory while the host asked for
+        data.
+    usb : int
+        Frames sent, or due to be sent while the link was away, that never arrived intact.
+    host : int
+        Frames that the camera dropped while the host was too busy to ask for data.
+    disk : int
+        Frames delivered while recording, but not written.
     """
 
     sensor: int = 0
@@ -36,23 +42,32 @@ class Losses:
 
     @property
     def undelivered(self) -> int:
-        """Frames that never reached the histograms; a disk loses what was delivered."""
+        """Number of frames that never reached the histograms; a disk loses delivered ones."""
         return self.sensor + self.fpga + self.usb + self.host
 
     def as_dict(self) -> dict[str, int]:
-        """By name."""
+        """Return the losses by place.
+
+        Returns
+        -------
+        dict of str to int
+            Number of frames by the name of the place.
+        """
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 @dataclass(frozen=True, slots=True)
 class RunTotals:
-    """What a run has brought so far.
+    """Frames of a run so far.
 
     Attributes
     ----------
-    exposed : frames that the camera took.
-    delivered : frames counted into histograms.
-    losses : the difference, by place.
+    exposed : int
+        Frames that the camera took.
+    delivered : int
+        Frames counted into histograms.
+    losses : Losses
+        The others, by place.
     """
 
     exposed: int = 0
@@ -69,12 +84,14 @@ class RunTotals:
 
 
 class FrameAccounting:
-    """Keeps the books of one run, whose stream begins with it.
+    """Accounts for the frames of one run, whose stream begins with it.
 
     Attributes
     ----------
-    totals : brought up to date by `update`.
-    disk : frames delivered and not written, set by whoever records.
+    totals : RunTotals
+        Totals when they were last updated.
+    disk : int
+        Frames delivered and not written, set by whoever records.
     """
 
     def __init__(self) -> None:
@@ -85,35 +102,60 @@ class FrameAccounting:
         self.disk = 0
 
     def sensor_fault(self, count: int = 1) -> None:
-        """The camera has told of frames that its sensor spoiled."""
+        """Note frames that the sensor spoiled, as an event of the camera reports them.
+
+        Parameters
+        ----------
+        count : int
+            Number of frames.
+        """
         self._sensor_faults += count
 
     def update(self, report: IngestReport, exposed: int, *, stalled_s: float) -> RunTotals:
-        """Bring the books up to date.
+        """Bring the totals up to date while the run is on.
 
         Parameters
         ----------
-        report : of the run's whole stream so far.
-        exposed : frames of the run up to the last one that the report knows of.
-        stalled_s : how long the host has asked for nothing, since the stream was opened.
+        report : IngestReport
+            Report of the run's whole stream so far.
+        exposed : int
+            Number of frames of the run up to the last one that the report knows of.
+        stalled_s : float
+            Time for which the host has asked for no data since the stream was opened, in seconds.
+
+        Returns
+        -------
+        RunTotals
+            The totals.
         """
         dropped = report.dropped_before + report.dropped
         self._attribute(dropped, stalled_s)
-        return self._close(report.frames, report.aborted, exposed)
+        return self._make_totals(report.frames, report.aborted, exposed)
 
-    def settle(
+    def reconcile(
         self, report: IngestReport, *, exposed: int, dropped: int, stalled_s: float, away: bool
     ) -> RunTotals:
-        """Close the books with the camera's own counters, after the run's end.
+        """Bring the totals up to date with the camera's own counters, after the run's end.
 
         Parameters
         ----------
-        exposed, dropped : what the camera counted in the whole run.
-        away : the link was gone before the end; what was dropped since is lost to it.
+        report : IngestReport
+            Report of the run's whole stream.
+        exposed, dropped : int
+            What the camera counted in the whole run.
+        stalled_s : float
+            Time for which the host has asked for no data since the stream was opened, in seconds.
+        away : bool
+            True if the link was gone before the end; frames dropped since are lost to it.
+
+        Returns
+        -------
+        RunTotals
+            The totals.
         """
         if not away:
             self._attribute(dropped, stalled_s)
-        return self._close(report.frames, report.aborted, exposed)
+        return self._make_totals(report.frames, report.aborted, exposed)
 
     def _attribute(self, dropped: int, stalled_s: float) -> None:
         fresh = max(0, dropped - self._fpga_dropped - self._host_dropped)
@@ -124,7 +166,7 @@ class FrameAccounting:
         if fresh:  # a drop shows only in the next frame's header: blame the stall until then
             self._stalled_s = stalled_s
 
-    def _close(self, delivered: int, aborted: int, exposed: int) -> RunTotals:
+    def _make_totals(self, delivered: int, aborted: int, exposed: int) -> RunTotals:
         sensor = min(aborted, self._sensor_faults)
         known = delivered + aborted + self._fpga_dropped + self._host_dropped
         self.totals = RunTotals(

@@ -1,4 +1,4 @@
-"""What a run of the camera is for, and what came of it."""
+"""The plan of a run, and its result."""
 
 from __future__ import annotations
 
@@ -18,31 +18,43 @@ from hueflight_protocol.typed_registers.camera import FrameLimit
 
 
 class CaptureError(HueflightError):
-    """A capture that can't be taken as asked."""
+    """A capture that can't be taken as asked for."""
 
 
 @dataclass(frozen=True)
 class RunPlan:
-    """One run: what to look at, when to stop, where to put it.
+    """What a run is for, when it ends, and where it is recorded.
 
     Attributes
     ----------
-    kind : what the LEDs do.
-    frames : stop after so many; of kind ``"bands"``, for each LED. 0 for no limit.
-    seconds : stop after so long.
-    photons_per_pixel : stop when the mean pixel has seen so many; of kind ``"bands"`` no rule.
-    until : stop when a share of the pixels is known this well; of kind ``"scene"`` only.
-    path : recording to write.
-    metadata, attachments : go into the recording.
-    keep : sum the whole run's histogram, one per LED of kind ``"bands"``.
-    live : the default run, which makes way for any other.
+    kind : CaptureKind
+        What the capture is for, which says what the LEDs do.
+    frames : int
+        Number of frames after which the run ends, for each LED where `kind` is ``"bands"``; 0 for
+        no limit.
+    seconds : float or None
+        Time after which the run ends, in seconds.
+    photons_per_pixel : float or None
+        Mean number of photons per pixel at which the run ends.
+    precision_stop : PrecisionStop or None
+        Precision at which the run ends; only where `kind` is ``"scene"``.
+    path : Path or None
+        Recording to write.
+    metadata : Mapping of str to str
+        Metadata of the recording.
+    attachments : Mapping of str to bytes
+        Attachments of the recording.
+    keep : bool
+        True to sum the histogram of the whole run, one for each LED where `kind` is ``"bands"``.
+    live : bool
+        True for the run that is on by default and makes way for any other.
     """
 
     kind: CaptureKind = "scene"
     frames: int = 0
     seconds: float | None = None
     photons_per_pixel: float | None = None
-    until: PrecisionStop | None = None
+    precision_stop: PrecisionStop | None = None
     path: Path | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
@@ -50,13 +62,13 @@ class RunPlan:
     live: bool = False
 
     def check(self) -> None:
-        """Refuse what can't be.
+        """Refuse a plan that contradicts itself.
 
         Raises
         ------
         CaptureError
-            If a limit is negative, an LED-by-LED run has no number of frames, or depth is to be
-            known of what is no scene.
+            If a limit is out of range, a run of kind ``"bands"`` has no number of frames, or a
+            precision is asked for of a run that is not of kind ``"scene"``.
         """
         if not 0 <= self.frames <= FrameLimit.VALUE_MAX:
             raise CaptureError(f"frames = {self.frames}: must be from 0 to {FrameLimit.VALUE_MAX}")
@@ -67,27 +79,42 @@ class RunPlan:
         if self.kind == "bands" and not self.frames:
             raise CaptureError("a capture of kind 'bands' needs frames: how many for each LED")
 
-        if self.until is not None and self.kind != "scene":
+        if self.precision_stop is not None and self.kind != "scene":
             raise CaptureError(
                 f"a capture of kind {self.kind!r} can't end by what is known of depth or "
                 "reflectance: only 'scene' can; give frames, seconds or photons"
             )
 
     def frame_limit(self, instrument: Instrument) -> int:
-        """Frames after which the camera itself ends the run, 0 for none."""
+        """Return the number of frames after which the camera itself ends the run.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument whose LEDs fire.
+
+        Returns
+        -------
+        int
+            Number of frames, 0 for no limit.
+        """
         return self.frames * (len(instrument.bands) if self.kind == "bands" else 1)
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A time in which nothing came, and why.
+    """A time in which no data came, and why.
 
     Attributes
     ----------
-    started, ended : UTC, ISO 8601; `ended` is empty while it lasts.
-    seconds : how long, by a clock that does not jump.
-    reason : what happened.
-    frames_lost : exactly, where the camera could still say; else None.
+    started, ended : str
+        UTC in ISO 8601.
+    seconds : float
+        Duration by a clock that does not jump, in seconds.
+    reason : str
+        What happened.
+    frames_lost : int or None
+        Number of frames lost, None where the camera could not tell.
     """
 
     started: str
@@ -99,19 +126,29 @@ class Gap:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What came of a run.
+    """Result of a run.
 
     Attributes
     ----------
-    plan : as asked.
-    totals : frames exposed, delivered and lost, by place.
-    photons : detected.
-    histograms : by step, where the plan said `keep`.
-    simulated : whether the photons were.
-    recorded_frames, recorded_bytes : safe in the recording.
-    gaps : times in which the camera was away.
-    share_known : of the pixels, as well as the plan's `until` wants, at the last look; else None.
-    failure : why the run ended before its time, or the recording broke off; empty if neither.
+    plan : RunPlan
+        The plan of the run.
+    totals : RunTotals
+        Frames exposed, delivered and lost.
+    photons : int
+        Number of photons detected.
+    histograms : dict of int to ndarray, shape (row, col, code)
+        Histogram by sequencer step, where the plan asks to keep it.
+    simulated : bool
+        True if the photons are simulated.
+    recorded_frames, recorded_bytes : int
+        What is safe in the recording.
+    gaps : tuple of Gap
+        Times in which the camera was away.
+    share_known : float or None
+        Fraction of pixels that had the precision of the plan at the last reconstruction; None for
+        a plan without a precision.
+    failure : str
+        Why the run ended before its time or the recording broke off; empty if neither.
     """
 
     plan: RunPlan

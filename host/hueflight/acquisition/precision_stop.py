@@ -1,4 +1,4 @@
-"""A run that ends when enough is known: looks at what has been counted, beside the acquisition."""
+"""Precision stop: a run ends when depth or reflectance is known precisely enough."""
 
 from __future__ import annotations
 
@@ -8,22 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.acquisition.thread_priority import ThreadPriority, adopt
+from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
 from hueflight.reconstruction.reconstruct import reconstruct
 from hueflight.reconstruction.stopping import StopRule, frames_needed, seen_enough, share_known
 
-LEAST_GROWTH, MOST_GROWTH = 1.1, 2.0  #: of the frames from one look to the next
+LEAST_GROWTH, MOST_GROWTH = 1.1, 2.0  #: of frames from one reconstruction to the next
 
 
 @dataclass(frozen=True)
 class PrecisionStop:
-    """What must be known for a run to end, and the calibration that tells.
+    """Precision at which a run ends, and the calibration that it is estimated with.
 
     Attributes
     ----------
-    rule : what is wanted, of how many pixels.
-    calibration : of the same instrument.
+    rule : StopRule
+        Standard deviations that must be reached, and the fraction of pixels that must reach them.
+    calibration : Calibration
+        Calibration of the same instrument.
     """
 
     rule: StopRule
@@ -33,47 +35,66 @@ class PrecisionStop:
 class PrecisionMonitor:
     """Reconstructs a run's histogram now and then, in a thread of its own.
 
-    Looks come at growing numbers of frames, as soon as the last one said that they may do.
+    The numbers of frames grow from one reconstruction to the next, as far as the last one expects
+    to be necessary.
 
     Parameters
     ----------
-    until : what must be known.
+    stop : PrecisionStop
+        Precision that is wanted.
 
     Attributes
     ----------
-    share : of the pixels that are known well enough, at the last look; None before the first.
-    met : whether that is enough.
+    share : float or None
+        Fraction of pixels that had the wanted precision at the last reconstruction; None before
+        the first.
+    met : bool
+        True if that is enough.
     """
 
-    def __init__(self, until: PrecisionStop, /) -> None:
+    def __init__(self, stop: PrecisionStop, /) -> None:
         self.share: float | None = None
         self.met = False
-        self._until = until
+        self._stop = stop
         self._sum: NDArray[np.uint32] | None = None
         self._frames = 0
         self._next_look = 1.0
         self._looking: Future[tuple[float, bool, float]] | None = None
         self._thread = ThreadPoolExecutor(
             1,
-            thread_name_prefix="until",
-            initializer=adopt,
+            thread_name_prefix="precision-stop",
+            initializer=set_thread_priority,
             initargs=(ThreadPriority.RECONSTRUCTION,),
         )
 
     @property
     def looking(self) -> bool:
-        """Whether a look is on whose result has not been taken."""
+        """True while a reconstruction is on whose result has not been taken."""
         return self._looking is not None
 
     def add(self, counts: NDArray[np.unsignedinteger], frames: int) -> None:
-        """Take a block of the run's frames into account."""
+        """Add a block of the run's frames.
+
+        Parameters
+        ----------
+        counts : ndarray, shape (row, col, code)
+            Histogram of the block.
+        frames : int
+            Number of frames in it.
+        """
         if self._sum is None:
             self._sum = np.zeros(counts.shape, np.uint32)
         self._sum += counts
         self._frames += frames
 
     def poll(self) -> bool:
-        """Whether enough is known; begins the next look when it is due. Never waits for one.
+        """Return whether the precision is reached; start the next reconstruction when it is due.
+
+        Returns
+        -------
+        bool
+            True if enough pixels had the precision at the last reconstruction. Never waits for
+            one.
 
         Raises
         ------
@@ -89,11 +110,11 @@ class PrecisionMonitor:
         return self.met
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop reconstructing."""
         self._thread.shutdown(wait=False, cancel_futures=True)
 
     def _look(self, counts: NDArray[np.uint32], frames: int) -> tuple[float, bool, float]:
-        calibration, rule = self._until.calibration, self._until.rule
+        calibration, rule = self._stop.calibration, self._stop.rule
         known = None if calibration.instrument.sensor.reports_empty else frames
         image = reconstruct(counts, calibration, frames=known)
         wanted = frames_needed(image, rule, frames)

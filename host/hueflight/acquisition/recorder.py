@@ -1,4 +1,4 @@
-"""Recording in a thread of its own: a slow disk can never hold up acquisition.
+"""Recording in a thread of its own: a slow disk can never delay acquisition.
 
 Pieces of the stream wait in a bounded queue. When it is full, pieces are left out of the
 recording, and the frames in them counted as lost to the disk; acquisition sees them all the same.
@@ -13,7 +13,7 @@ from collections import deque
 from pathlib import Path
 
 from hueflight.acquisition.plan import CaptureError, RunPlan
-from hueflight.acquisition.thread_priority import ThreadPriority, adopt
+from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.errors import RecordingError
 from hueflight.model.instrument import Instrument
 from hueflight.recording import RecordingWriter
@@ -28,23 +28,30 @@ FLUSH_S = 0.5
 
 
 class Recorder:
-    """Writes one recording.
+    """Writes one recording in a thread of its own.
 
     Parameters
     ----------
-    plan : says where, and what goes with it.
-    instrument : of the frames.
-    queue_bytes : most bytes that wait for the disk.
-    min_free_bytes : space that must stay free on the disk.
+    plan : RunPlan
+        Says where to record, and which metadata and attachments to store.
+    instrument : Instrument
+        Instrument that takes the frames.
+    queue_bytes : int
+        Most bytes that wait for the disk.
+    min_free_bytes : int
+        Space that must stay free on the disk, in bytes.
 
     Attributes
     ----------
-    failure : why writing broke off, empty while all is well.
+    path : Path
+        Where the recording is written.
+    failure : str
+        Why writing broke off, empty if it did not.
 
     Raises
     ------
     RecordingError
-        If the recording can't be begun.
+        If the recording can't be started.
     """
 
     def __init__(
@@ -76,7 +83,13 @@ class Recorder:
         self._thread.start()
 
     def offer(self, piece: bytes, /) -> None:
-        """Take a piece of the stream, or leave it out if the disk is too far behind."""
+        """Take a piece of the stream, or leave it out if the disk is too far behind.
+
+        Parameters
+        ----------
+        piece : bytes
+            Piece of the stream.
+        """
         with self._changed:
             self._offered_bytes += len(piece)
             if self._queued + len(piece) > self._queue_limit:
@@ -92,21 +105,32 @@ class Recorder:
 
     @property
     def frames(self) -> int:
-        """Frames that are safe in a file."""
+        """Number of frames that are safe in a file."""
         return self._writer.frames
 
     @property
     def size(self) -> int:
-        """Bytes that are safe in a file."""
+        """Number of bytes that are safe in a file."""
         return self._writer.size
 
     @property
     def queued_bytes(self) -> int:
-        """Bytes that wait for the disk."""
+        """Number of bytes that wait for the disk."""
         return self._queued
 
     def lost_frames(self, delivered: int) -> int:
-        """Frames not written, of those delivered; an estimate until the recording is closed."""
+        """Return how many frames were not written; an estimate until the recording is closed.
+
+        Parameters
+        ----------
+        delivered : int
+            Number of frames delivered in the run.
+
+        Returns
+        -------
+        int
+            Number of frames.
+        """
         if self._closing and not self._thread.is_alive():
             return max(0, delivered - self._writer.frames)
         if not self._offered_bytes:
@@ -115,7 +139,7 @@ class Recorder:
         return self._writer.lost_frames + round(delivered * share)
 
     def close(self) -> None:
-        """Write what waits, finish the files, wait for the disk."""
+        """Write what waits, finish the files, and wait for the disk."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -124,7 +148,7 @@ class Recorder:
     # -- the recorder's thread ----------------------------------------------------------------
 
     def _run(self) -> None:
-        adopt(ThreadPriority.RECORDING)
+        set_thread_priority(ThreadPriority.RECORDING)
         while True:
             with self._changed:
                 if not self._queue and not self._closing:

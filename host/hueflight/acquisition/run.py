@@ -1,9 +1,8 @@
-"""One run while it is on: its stream, its books, its end."""
+"""One run while it is on: its stream, its frame accounting, its end."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from hueflight.acquisition.frame_accounting import FrameAccounting, RunTotals
 from hueflight.acquisition.plan import Gap, RunPlan, RunResult
 from hueflight.acquisition.precision_stop import PrecisionMonitor
-from hueflight.acquisition.recorder import MIN_FREE_BYTES, QUEUE_BYTES
+from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.stale_data_filter import StaleDataFilter
 from hueflight.devices.camera import Camera
 from hueflight.devices.transports.stream import StreamStatistics
@@ -20,70 +19,39 @@ from hueflight.model.instrument import Instrument
 from hueflight_protocol import Event, EventCode, decode_packet
 from hueflight_protocol.typed_registers.camera import Capture
 
-LIVE_FRAMES = 480  #: behind each live picture at least, as far as the picture rate allows
-PICTURES_HZ = 30.0
-SLOW_PICTURES_HZ = 10.0
 _FRAMES_TO_BE_LATE = 20
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """How a stream is cut into histograms, and how much may wait.
-
-    Attributes
-    ----------
-    rate_hz : frames per second to expect.
-    block_frames : frames from one live histogram to the next.
-    window_blocks : each live picture is of the sum of so many.
-    threads : that count photons.
-    recorder_queue_bytes, min_free_bytes : see `Recorder`.
-    """
-
-    rate_hz: float
-    block_frames: int
-    window_blocks: int = 1
-    threads: int = 1
-    recorder_queue_bytes: int = QUEUE_BYTES
-    min_free_bytes: int = MIN_FREE_BYTES
-
-    @classmethod
-    def of(
-        cls,
-        instrument: Instrument,
-        /,
-        *,
-        pictures_hz: float | None = None,
-        picture_frames: int | None = None,
-    ) -> RunSettings:
-        """Settings that suit an instrument's frame rate.
-
-        Parameters
-        ----------
-        pictures_hz : live histograms per second; by default 30, or 10 where so few frames come
-            that pictures overlap.
-        picture_frames : frames behind each picture; by default all since the one before, and at
-            least 480.
-        """
-        rate = instrument.sensor.frame_rate_hz or 1000.0
-        if pictures_hz is None:
-            few = rate / PICTURES_HZ < LIVE_FRAMES
-            pictures_hz = SLOW_PICTURES_HZ if few else PICTURES_HZ
-        block = max(1, round(rate / pictures_hz))
-        wanted = picture_frames or max(LIVE_FRAMES, block)
-        return cls(rate, block, max(1, round(wanted / block)))
 
 
 class Run:
     """A run that is on.
 
+    Parameters
+    ----------
+    plan : RunPlan
+        What the run is for and when it ends.
+    instrument : Instrument
+        The instrument that takes the frames.
+    settings : RunSettings
+        Sizes of blocks.
+    label : int
+        The run's number in every packet.
+    precision : PrecisionMonitor, optional
+        Monitor of the run that this one goes on with; by default a new one, if the plan needs it.
+
     Attributes
     ----------
-    label : the run's `capture` number in every packet.
-    started : the camera has answered that the run is on.
-    ended : the camera has said that the run is over.
-    began_s, last_data_s : monotonic clock.
-    gaps : times in which the camera was away.
-    watch : on what is known, where the plan ends by it.
+    stream : HistogramStream
+        Counts the run's packets.
+    accounting : FrameAccounting
+        Frames delivered and lost.
+    started, ended : bool
+        True if the camera has answered that the run is on, or has said that it is over.
+    began_s, last_data_s : float
+        Monotonic clock.
+    gaps : list of Gap
+        Times in which the camera was away.
+    precision : PrecisionMonitor or None
+        Knows how precise the result is, where the plan ends by it.
     """
 
     def __init__(
@@ -93,10 +61,10 @@ class Run:
         settings: RunSettings,
         *,
         label: int,
-        watch: PrecisionMonitor | None = None,
+        precision: PrecisionMonitor | None = None,
     ) -> None:
         self.plan, self.label = plan, label
-        self._beginning = StaleDataFilter(label)
+        self._stale_data_filter = StaleDataFilter(label)
         self._instrument, self._settings = instrument, settings
         by_step = plan.kind == "bands"
         self.stream = HistogramStream(
@@ -105,16 +73,16 @@ class Run:
             by_step=by_step,
             threads=settings.threads,
         )
-        self.ledger = FrameAccounting()
+        self.accounting = FrameAccounting()
         self.started = self.ended = False
         self.exposed_at_end: int | None = None
         self.began_s = self.first_began_s = time.monotonic()
         self.last_data_s = 0.0
         self.stalled_before_s = 0.0
         self.gaps: list[Gap] = []
-        self.watch = (
-            PrecisionMonitor(plan.until) if plan.until is not None and watch is None else watch
-        )
+        self.precision = precision
+        if plan.precision_stop is not None and precision is None:
+            self.precision = PrecisionMonitor(plan.precision_stop)
         self._kept: dict[int, NDArray[np.uint32]] = {}
         self._before = RunTotals()  # of the parts before the camera went away
         self._photons_before = 0
@@ -122,9 +90,17 @@ class Run:
         self._exposed = 0
 
     def successor(self) -> Run:
-        """The same run after a gap, with a stream and books of its own."""
+        """Return the same run after a gap, with a stream and frame accounting of its own.
+
+        Returns
+        -------
+        Run
+            Goes on where this one ended.
+        """
         label = self.label + 1 & Capture.VALUE_MAX
-        other = Run(self.plan, self._instrument, self._settings, label=label, watch=self.watch)
+        other = Run(
+            self.plan, self._instrument, self._settings, label=label, precision=self.precision
+        )
         other.gaps = self.gaps
         other._kept = self._kept
         other._before = self._before + self.totals
@@ -135,33 +111,59 @@ class Run:
     # -- the stream ---------------------------------------------------------------------------
 
     def own(self, piece: bytes, /) -> bytes:
-        """What of a piece of the stream belongs to this run."""
-        return self._beginning.cut(piece)
+        """Leave out what belongs to an earlier run.
+
+        Parameters
+        ----------
+        piece : bytes
+            Piece of the stream.
+
+        Returns
+        -------
+        bytes
+            What of it, and of earlier pieces, belongs to this run.
+        """
+        return self._stale_data_filter.cut(piece)
 
     def take(self, piece: bytes, now: float, statistics: StreamStatistics) -> list[Block]:
-        """Count a piece of the run's own stream; return the histograms that it completes."""
+        """Count a piece of the run's own stream.
+
+        Parameters
+        ----------
+        piece : bytes
+            Piece of the stream, as `own` returns it.
+        now : float
+            Monotonic clock when it had arrived.
+        statistics : StreamStatistics
+            Totals of the stream it came from.
+
+        Returns
+        -------
+        list of Block
+            The histograms that it completes.
+        """
         self.last_data_s = now
         self._statistics = statistics
         blocks = self.stream.feed(piece)
         for packet in self.stream.take_others():
-            self._listen(packet)
+            self._read_event(packet)
         for block in blocks:
-            self._book(block)
+            self._account(block)
         return blocks
 
-    def _listen(self, packet: bytes) -> None:
+    def _read_event(self, packet: bytes) -> None:
         content = decode_packet(packet)
         if not isinstance(content, Event) or content.header.capture != self.label:
             return
         if content.code == EventCode.SENSOR_FAULT:
-            self.ledger.sensor_fault(content.count)
+            self.accounting.sensor_fault(content.count)
         elif content.code == EventCode.RUN_STOPPED:
             self.ended = True
             self.exposed_at_end = content.value
 
-    def _book(self, block: Block) -> None:
+    def _account(self, block: Block) -> None:
         self._exposed = block.last_frame + 1
-        self.ledger.update(block.report, self._exposed, stalled_s=self._stalled_s)
+        self.accounting.update(block.report, self._exposed, stalled_s=self._stalled_s)
         self._keep(block)
 
     @property
@@ -169,15 +171,21 @@ class Run:
         return self._statistics.stalled_s - self.stalled_before_s
 
     def finish(self) -> list[Block]:
-        """Say that nothing more comes; return the last histogram, if frames are left."""
+        """Count what is left, after the last piece of the stream.
+
+        Returns
+        -------
+        list of Block
+            The last histogram, if frames are left.
+        """
         blocks = self.stream.finish()
         for block in blocks:
             self._keep(block)
         return [block for block in blocks if block.frames]
 
     def _keep(self, block: Block) -> None:
-        if self.watch is not None and block.frames:
-            self.watch.add(block.histogram, block.frames)
+        if self.precision is not None and block.frames:
+            self.precision.add(block.histogram, block.frames)
         if not self.plan.keep or not block.frames:
             return
         for step, counts in block.counts.items():
@@ -188,11 +196,22 @@ class Run:
     # -- the end ------------------------------------------------------------------------------
 
     def reached_its_end(self, now: float) -> bool:
-        """Whether a stop rule of the plan applies."""
+        """Return whether a limit of the plan is reached.
+
+        Parameters
+        ----------
+        now : float
+            Monotonic clock.
+
+        Returns
+        -------
+        bool
+            True if the run is to end.
+        """
         plan = self.plan
         if plan.seconds is not None and now - self.first_began_s >= plan.seconds:
             return True
-        if self.watch is not None and self.watch.poll():
+        if self.precision is not None and self.precision.poll():
             return True
         if plan.photons_per_pixel is not None:
             pixels = self._instrument.sensor.rows * self._instrument.sensor.cols
@@ -201,65 +220,109 @@ class Run:
         return bool(limit and self._before.exposed and self._before.exposed >= limit)
 
     def frames_left(self) -> int:
-        """Frames still to be taken, 0 for no limit."""
+        """Return how many frames are still to be taken.
+
+        Returns
+        -------
+        int
+            Number of frames, 0 for no limit.
+        """
         limit = self.plan.frame_limit(self._instrument)
         return max(1, limit - self._before.exposed) if limit else 0
 
     def silence_s(self, least: float) -> float:
-        """How long the stream may be silent before something is wrong."""
-        return max(least, _FRAMES_TO_BE_LATE / self._settings.rate_hz)
-
-    def settle_from_registers(self, camera: Camera, *, away: bool) -> int:
-        """Close the books with what the camera has counted; return frames lost at the end.
+        """Return how long the stream may be silent before something is wrong.
 
         Parameters
         ----------
-        away : the link was gone meanwhile: what the camera dropped, it dropped for that.
+        least : float
+            Shortest time for any frame rate, in seconds.
+
+        Returns
+        -------
+        float
+            Time in seconds.
+        """
+        return max(least, _FRAMES_TO_BE_LATE / self._settings.rate_hz)
+
+    def reconcile_with_camera(self, camera: Camera, *, away: bool) -> int:
+        """Compare the frame accounting with what the camera has counted in this run.
+
+        Parameters
+        ----------
+        camera : Camera
+            The camera, which still has the counters of this run.
+        away : bool
+            True if the link was gone meanwhile; frames dropped since are lost to the link.
+
+        Returns
+        -------
+        int
+            Number of frames whose loss only the camera knew of.
         """
         if away:
             camera.stop(abort=True)
         counted = camera.counters()
         exposed = counted.frames_sent + counted.frames_dropped + counted.frames_aborted
-        before = self.ledger.totals.losses.undelivered
+        before = self.accounting.totals.losses.undelivered
         self._exposed = exposed
-        self.ledger.settle(
+        self.accounting.reconcile(
             self.stream.report,
             exposed=exposed,
             dropped=counted.frames_dropped,
             stalled_s=self._stalled_s,
             away=away,
         )
-        return self.ledger.totals.losses.undelivered - before
+        return self.accounting.totals.losses.undelivered - before
 
-    def close_books(self) -> RunTotals:
-        """Totals up to now: of this part of the run, after its last gap."""
+    def update_totals(self) -> RunTotals:
+        """Account for every frame that is known of.
+
+        Returns
+        -------
+        RunTotals
+            Totals of this part of the run, after its last gap.
+        """
         report = self.stream.report
         known = report.frames + report.aborted + report.dropped + report.dropped_before
         exposed = max(self._exposed, known)
-        return self.ledger.update(report, exposed, stalled_s=self._stalled_s)
+        return self.accounting.update(report, exposed, stalled_s=self._stalled_s)
 
     @property
     def totals(self) -> RunTotals:
-        """As booked last."""
-        return self.ledger.totals
+        """Totals when they were last updated, of the part after the last gap."""
+        return self.accounting.totals
 
     @property
     def photons(self) -> int:
-        """Since the last gap."""
+        """Number of photons detected since the last gap."""
         return self.stream.report.photons
 
     @property
     def photons_in_all(self) -> int:
-        """Of the whole run."""
+        """Number of photons detected in the whole run."""
         return self._photons_before + self.photons
 
     @property
     def delivered_in_all(self) -> int:
-        """Frames of the whole run."""
+        """Number of frames delivered in the whole run."""
         return self._before.delivered + self.stream.report.frames
 
     def result(self, failure: str, *, simulated: bool) -> RunResult:
-        """What came of it, gaps included."""
+        """Return the run's result, including gaps.
+
+        Parameters
+        ----------
+        failure : str
+            Why the run ended before its time, empty if it did not.
+        simulated : bool
+            True if the photons are simulated.
+
+        Returns
+        -------
+        RunResult
+            Totals, histograms and gaps.
+        """
         totals = self._before + self.totals
         return RunResult(
             plan=self.plan,
@@ -268,6 +331,6 @@ class Run:
             histograms={step: self._kept[step] for step in sorted(self._kept)},
             simulated=simulated,
             gaps=tuple(self.gaps),
-            share_known=None if self.watch is None else self.watch.share,
+            share_known=None if self.precision is None else self.precision.share,
             failure=failure,
         )

@@ -1,4 +1,4 @@
-"""What acquisition shows to whoever looks: how things stand, and the newest histogram."""
+"""What an acquisition shows: its status, and the newest histogram."""
 
 from __future__ import annotations
 
@@ -13,14 +13,20 @@ from hueflight.ingest.stream import Block
 
 @dataclass(frozen=True)
 class LiveBlock:
-    """A histogram for whoever wants to look.
+    """A histogram of some frames, for live pictures.
 
     Attributes
     ----------
-    block : counts and what stands behind them.
-    received_s : monotonic clock when the block's last byte had arrived.
-    kind, run : of the run, and its label.
-    give_back : call when done, so that the memory serves again.
+    block : Block
+        Counts, and the frames behind them.
+    received_s : float
+        Monotonic clock when the block's last byte had arrived.
+    kind : str
+        What the run is for.
+    run : int
+        Label of the run.
+    give_back : callable
+        To be called when done, so that the memory can be used again.
     """
 
     block: Block
@@ -32,27 +38,47 @@ class LiveBlock:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """How things stand; a new one after every piece of the stream.
+    """Status of an acquisition at one time.
 
     Attributes
     ----------
-    state : ``"disconnected"``, ``"idle"`` or ``"running"``.
-    problem : what is wrong, in words; empty if nothing is.
-    rig : serial number, place and firmware of the camera, empty while there is none.
-    kind : of the run that is on.
-    run_frames : delivered in it.
-    run_limit : frames it will have, 0 if open.
-    run_photons : in it.
-    totals : since the start of the program, the present run included.
-    photons : likewise.
-    received_bytes : likewise.
-    last_data_s : monotonic clock of the last byte, None before the first.
-    recording : path of the recording, empty if none.
-    recorded_frames, recorded_bytes, recorder_queue_bytes : of it.
-    recording_failure : why it broke off.
-    stream : of the present connection.
-    gaps : the latest ones.
-    connections : how often a rig was opened.
+    state : str
+        ``"disconnected"``, ``"idle"`` or ``"running"``.
+    problem : str
+        What is wrong, in words; empty if nothing is.
+    rig : dict of str to str
+        Serial number, place and firmware of the camera, and name of the illumination; empty
+        while there is no rig.
+    simulated : bool
+        True if the photons are simulated.
+    kind : str
+        What the present run is for, ``"live"`` for the live run; empty if none is on.
+    run_frames : int
+        Number of frames delivered in the present run.
+    run_limit : int
+        Number of frames after which the present run ends, 0 for no limit.
+    run_photons : int
+        Number of photons detected in the present run.
+    totals : RunTotals
+        Frames since the acquisition began, the present run included.
+    photons : int
+        Number of photons since the acquisition began.
+    received_bytes : int
+        Number of bytes received since the acquisition began.
+    last_data_s : float or None
+        Monotonic clock of the last byte, None before the first.
+    recording : str
+        Path of the present recording, empty if there is none.
+    recorded_frames, recorded_bytes, recorder_queue_bytes : int
+        What is safe in the recording, and what waits for the disk.
+    recording_failure : str
+        Why the recording broke off, empty if it did not.
+    stream : StreamStatistics
+        Totals of the present connection.
+    gaps : tuple of Gap
+        The latest gaps.
+    connections : int
+        How many times a rig was opened.
     """
 
     state: str = "disconnected"

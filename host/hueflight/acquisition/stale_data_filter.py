@@ -1,7 +1,7 @@
-"""Where in a stream a run begins: a link may still hold packets of an earlier run.
+"""Stale data filter: leaves out packets of an earlier run that a link still holds.
 
-They were booked as lost when that run was closed, and must not count again (rule S5 of the
-protocol: a capture is told by its label).
+They were counted as lost when that run ended, and must not be counted again (rule S5 of the
+protocol: packets carry the label of their run).
 """
 
 from __future__ import annotations
@@ -16,11 +16,13 @@ class StaleDataFilter:
 
     Parameters
     ----------
-    label : the run's `capture` number.
+    label : int
+        The run's `capture` number.
 
     Attributes
     ----------
-    found : whether the run has begun: what follows is its own.
+    found : bool
+        True if the run has begun, so that everything that follows belongs to it.
     """
 
     def __init__(self, label: int, /) -> None:
@@ -31,7 +33,18 @@ class StaleDataFilter:
         self._offset = 0  # in the stream, of the first byte that is pending
 
     def cut(self, piece: bytes, /) -> bytes:
-        """Take a piece of the stream; return what of it, and of earlier pieces, is the run's."""
+        """Take a piece of the stream.
+
+        Parameters
+        ----------
+        piece : bytes
+            Next piece of the stream.
+
+        Returns
+        -------
+        bytes
+            What of it, and of earlier pieces, belongs to the run.
+        """
         if self.found:
             return piece
         for start in range(0, len(piece), STEP_BYTES):
@@ -43,7 +56,7 @@ class StaleDataFilter:
         return b""
 
     def _look_at(self, step: bytes) -> None:
-        """Keep what may be the run's, or the start of a packet."""
+        """Keep what may belong to the run, or may be the start of a packet."""
         self._pending += step
         packets = self._parser.feed(step)
         starts = [each.offset for each in packets if each.content.header.capture == self._label]

@@ -1,8 +1,8 @@
-"""How urgent a thread is to the system's scheduler.
+"""Scheduling priority of threads.
 
-What must not be late runs in real time where the system allows it. Niceness is the second best: it
-counts only among the processes of one unit or session, so that a browser in another could keep
-acquisition waiting for tens of milliseconds.
+Threads that must not be late get a real-time priority where the system allows it. Niceness is
+second best: it counts only among the processes of one unit or session, so that a browser in another
+one could delay acquisition by tens of milliseconds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from enum import Enum
 
 
 class ThreadPriority(Enum):
-    """What a thread does, with its real-time priority (0 for none) and its niceness."""
+    """Tasks of threads, each with its real-time priority (0 for none) and its niceness."""
 
     ACQUISITION = (12, -10)
     RECORDING = (10, -10)
@@ -23,28 +23,34 @@ class ThreadPriority(Enum):
 
     @property
     def real_time(self) -> int:
-        """Priority among real-time threads, from 1; 0 for a thread that is none."""
+        """Priority among real-time threads, from 1; 0 for a thread without one."""
         return self.value[0]
 
     @property
     def niceness(self) -> int:
-        """Where it does not run in real time: from -20, the first, to 19."""
+        """Niceness without a real-time priority, from -20 (scheduled first) to 19."""
         return self.value[1]
 
 
-def adopt(urgency: ThreadPriority, /) -> str:
-    """Schedule the calling thread, and those that it begins, by what it does.
+def set_thread_priority(priority: ThreadPriority, /) -> str:
+    """Set the priority of the calling thread, and of threads that it starts.
+
+    Parameters
+    ----------
+    priority : ThreadPriority
+        What the thread does.
 
     Returns
     -------
-    In words what the system allowed: ``"real time"``, ``"niceness -10"`` or ``"ordinary"``.
+    str
+        What the system allowed: ``"real time"``, ``"niceness -10"`` or ``"ordinary"``.
     """
-    if urgency.real_time and _schedule("SCHED_RR", urgency.real_time):
+    if priority.real_time and _schedule("SCHED_RR", priority.real_time):
         return "real time"
     _schedule("SCHED_OTHER", 0)  # a thread begun by one in real time is in real time
     with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), urgency.niceness)
-        return f"niceness {urgency.niceness}"
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), priority.niceness)
+        return f"niceness {priority.niceness}"
     return "ordinary"
 
 

@@ -127,7 +127,9 @@ def capture(
     plan = RunPlan(
         kind=kind, frames=frames, seconds=seconds, photons_per_pixel=photons, path=out,
         metadata=metadata,
-        until=until_of(described, calibration, until_depth_std, until_reflectance_std, share),
+        precision_stop=until_of(
+            described, calibration, until_depth_std, until_reflectance_std, share
+        ),
     )  # fmt: skip
     plan.check()
     connect = choose_rig(

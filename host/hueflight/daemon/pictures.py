@@ -11,7 +11,7 @@ import xarray as xr
 
 from hueflight import backend
 from hueflight.acquisition.snapshot import LiveBlock
-from hueflight.acquisition.thread_priority import ThreadPriority, adopt
+from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
 from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.incremental_fitter import CHANGE_SIGMA, IncrementalFitter
@@ -120,7 +120,7 @@ class Pictures:
 
     def _work(self) -> None:
         # acquisition comes first; threads that help with a picture inherit this
-        adopt(ThreadPriority.RECONSTRUCTION)
+        set_thread_priority(ThreadPriority.RECONSTRUCTION)
         while True:
             with self._changed:
                 if not self._waiting and not self._closing:

@@ -120,7 +120,12 @@ class RecordingJob:
                 None if until is None or calibration is None else PrecisionStop(until, calibration)
             )
             plan = RunPlan(
-                kind=kind, frames=frames, seconds=seconds, path=path, until=stop, metadata=metadata
+                kind=kind,
+                frames=frames,
+                seconds=seconds,
+                path=path,
+                precision_stop=stop,
+                metadata=metadata,
             )
             plan.check()
             self._name = name

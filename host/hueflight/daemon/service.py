@@ -10,7 +10,7 @@ from typing import Any
 import structlog
 
 from hueflight.acquisition.plan import RunPlan
-from hueflight.acquisition.run import RunSettings
+from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.runner import Acquisition
 from hueflight.calibration import Calibration
 from hueflight.daemon.calibration_job import CalibrationJob

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import hueflight as hf
-from hueflight.acquisition import runner as acquisition_module
+from hueflight.acquisition import session as acquisition_module
 from hueflight.acquisition.plan import RunPlan
 from hueflight.acquisition.runner import Acquisition
 from hueflight.daemon import recordings_folder as files

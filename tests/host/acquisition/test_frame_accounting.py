@@ -1,4 +1,4 @@
-"""Books of lost frames: each frame once, at one place."""
+"""Frame accounting: each lost frame is counted once, at one place."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ SMALL = st.integers(0, 1000)
 def test_exposed_is_delivered_plus_lost(
     delivered: int, dropped: int, before: int, aborted: int, missing: int
 ) -> None:
-    ledger = FrameAccounting()
+    accounting = FrameAccounting()
     exposed = delivered + dropped + before + aborted + missing
     report = IngestReport(frames=delivered, dropped=dropped, dropped_before=before, aborted=aborted)
-    totals = ledger.update(report, exposed, stalled_s=0.0)
+    totals = accounting.update(report, exposed, stalled_s=0.0)
     assert totals.delivered + totals.losses.undelivered == totals.exposed == exposed
     assert totals.losses == Losses(fpga=dropped + before + aborted, usb=missing)
 
 
 def test_drops_while_the_host_did_not_ask_are_the_hosts() -> None:
-    ledger = FrameAccounting()
-    ledger.update(IngestReport(frames=10, dropped=3), 13, stalled_s=0.0)
+    accounting = FrameAccounting()
+    accounting.update(IngestReport(frames=10, dropped=3), 13, stalled_s=0.0)
     # stalled: the drop shows only in a later frame
-    ledger.update(IngestReport(frames=20, dropped=3), 23, stalled_s=0.5)
-    totals = ledger.update(IngestReport(frames=30, dropped=8), 38, stalled_s=0.5)
+    accounting.update(IngestReport(frames=20, dropped=3), 23, stalled_s=0.5)
+    totals = accounting.update(IngestReport(frames=30, dropped=8), 38, stalled_s=0.5)
     assert totals.losses == Losses(fpga=3, host=5)
-    totals = ledger.update(IngestReport(frames=30, dropped=9), 39, stalled_s=0.5)
+    totals = accounting.update(IngestReport(frames=30, dropped=9), 39, stalled_s=0.5)
     assert totals.losses == Losses(fpga=4, host=5)
 
 
 def test_spoiled_frames_are_the_sensors() -> None:
-    ledger = FrameAccounting()
-    ledger.sensor_fault(2)
-    totals = ledger.update(IngestReport(frames=5, aborted=3), 8, stalled_s=0.0)
+    accounting = FrameAccounting()
+    accounting.sensor_fault(2)
+    totals = accounting.update(IngestReport(frames=5, aborted=3), 8, stalled_s=0.0)
     assert totals.losses == Losses(sensor=2, fpga=1)
 
 
 def test_what_a_camera_drops_without_a_link_is_the_links() -> None:
-    ledger = FrameAccounting()
+    accounting = FrameAccounting()
     report = IngestReport(frames=100)
-    ledger.update(report, 100, stalled_s=0.0)
-    ledger.settle(report, exposed=180, dropped=60, stalled_s=0.0, away=True)
-    assert ledger.totals.losses == Losses(usb=80)
+    accounting.update(report, 100, stalled_s=0.0)
+    accounting.reconcile(report, exposed=180, dropped=60, stalled_s=0.0, away=True)
+    assert accounting.totals.losses == Losses(usb=80)
 
 
 def test_sums() -> None:

@@ -80,9 +80,9 @@ def test_wishes_that_cannot_be_met_are_said(
 
 def test_only_a_scene_has_depth_to_be_known(calibration: hf.Calibration) -> None:
     wanted = PrecisionStop(StopRule(depth_std=0.01), calibration)
-    RunPlan(until=wanted).check()
+    RunPlan(precision_stop=wanted).check()
     with pytest.raises(CaptureError, match="'dark' can't end by what is known"):
-        RunPlan(kind="dark", until=wanted).check()
+        RunPlan(kind="dark", precision_stop=wanted).check()
 
 
 def settle(watch: PrecisionMonitor) -> bool:
@@ -125,7 +125,7 @@ def test_looks_step_back_from_what_begins_them(
     calibration: hf.Calibration, draw, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
-    monkeypatch.setattr("hueflight.acquisition.precision_stop.adopt", asked.append)
+    monkeypatch.setattr("hueflight.acquisition.precision_stop.set_thread_priority", asked.append)
     watch = PrecisionMonitor(PrecisionStop(StopRule(depth_std=0.02), calibration))
     watch.add(draw(calibration.instrument, depth=0.6, photons=100, frames=1000, seed=1), 1000)
     settle(watch)

@@ -63,12 +63,14 @@ def test_acquisition_and_recording_ask_to_come_first(
 ) -> None:
     asked, told = [], []
 
-    def adopt(urgency: ThreadPriority) -> str:
-        asked.append((threading.current_thread().name, urgency))
+    def set_thread_priority(priority: ThreadPriority) -> str:
+        asked.append((threading.current_thread().name, priority))
         return "as asked"
 
     for module in ("runner", "recorder"):
-        monkeypatch.setattr(f"hueflight.acquisition.{module}.adopt", adopt)
+        monkeypatch.setattr(
+            f"hueflight.acquisition.{module}.set_thread_priority", set_thread_priority
+        )
     acquisition = begin(on_event=lambda name, details: told.append((name, details)))
     acquisition.run(RunPlan(frames=10, path=tmp_path / "run.mcap")).result(WAIT_S)
     assert asked == [
@@ -256,7 +258,7 @@ def test_a_slow_disk_loses_pieces_and_says_so(
 ) -> None:
     from dataclasses import replace
 
-    from hueflight.acquisition.run import RunSettings
+    from hueflight.acquisition.run_settings import RunSettings
     from hueflight.recording import RecordingWriter
 
     original = RecordingWriter.write
@@ -283,7 +285,7 @@ def test_no_room_is_refused_before_the_run(
 ) -> None:
     from dataclasses import replace
 
-    from hueflight.acquisition.run import RunSettings
+    from hueflight.acquisition.run_settings import RunSettings
 
     settings = replace(RunSettings.of(fast), min_free_bytes=1 << 60)
     acquisition = Acquisition(rig.connect, fast, settings=settings)

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import pytest
 
-from hueflight.acquisition.thread_priority import ThreadPriority, adopt
+from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 
 T = TypeVar("T")
 
@@ -41,11 +41,13 @@ REAL_TIME = allowed(lambda: os.sched_setscheduler(0, os.SCHED_RR, os.sched_param
 NICE = allowed(lambda: os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), -10))
 
 
-@pytest.mark.parametrize("urgency", [ThreadPriority.ACQUISITION, ThreadPriority.RECORDING])
-def test_as_much_as_the_system_allows(urgency: ThreadPriority) -> None:
-    said, (policy, priority, niceness) = in_a_thread(lambda: (adopt(urgency), scheduled()))
+@pytest.mark.parametrize("task", [ThreadPriority.ACQUISITION, ThreadPriority.RECORDING])
+def test_as_much_as_the_system_allows(task: ThreadPriority) -> None:
+    said, (policy, priority, niceness) = in_a_thread(
+        lambda: (set_thread_priority(task), scheduled())
+    )
     if REAL_TIME:
-        assert (said, policy, priority) == ("real time", os.SCHED_RR, urgency.real_time)
+        assert (said, policy, priority) == ("real time", os.SCHED_RR, task.real_time)
     elif NICE:
         assert (said, policy, niceness) == ("niceness -10", os.SCHED_OTHER, -10)
     else:
@@ -53,7 +55,7 @@ def test_as_much_as_the_system_allows(urgency: ThreadPriority) -> None:
 
 
 def test_acquisition_comes_before_recording_and_both_before_the_rest() -> None:
-    ranks = [urgency.real_time for urgency in ThreadPriority]
+    ranks = [task.real_time for task in ThreadPriority]
     assert ranks == sorted(ranks, reverse=True)
     assert ThreadPriority.ACQUISITION.real_time > ThreadPriority.RECORDING.real_time > 0
     assert ThreadPriority.RECONSTRUCTION.real_time == 0 < ThreadPriority.RECONSTRUCTION.niceness
@@ -63,8 +65,10 @@ def test_a_thread_begun_by_an_urgent_one_steps_back() -> None:
     """Otherwise the fits of a stop rule would compete with the acquisition that begins them."""
 
     def begin() -> object:
-        adopt(ThreadPriority.ACQUISITION)
-        return in_a_thread(lambda: (adopt(ThreadPriority.RECONSTRUCTION), scheduled()))
+        set_thread_priority(ThreadPriority.ACQUISITION)
+        return in_a_thread(
+            lambda: (set_thread_priority(ThreadPriority.RECONSTRUCTION), scheduled())
+        )
 
     assert in_a_thread(begin) == ("niceness 5", (os.SCHED_OTHER, 0, 5))
 
@@ -76,9 +80,9 @@ def test_where_the_system_allows_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
     before = in_a_thread(scheduled)
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     if NICE:
-        assert in_a_thread(lambda: adopt(ThreadPriority.RECORDING)) == "niceness -10"
+        assert in_a_thread(lambda: set_thread_priority(ThreadPriority.RECORDING)) == "niceness -10"
     monkeypatch.setattr(os, "setpriority", refuse)
-    assert in_a_thread(lambda: (adopt(ThreadPriority.RECORDING), scheduled())) == (
+    assert in_a_thread(lambda: (set_thread_priority(ThreadPriority.RECORDING), scheduled())) == (
         "ordinary",
         before,
     )
@@ -86,5 +90,5 @@ def test_where_the_system_allows_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_system_without_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(os, "sched_setscheduler")
-    said = in_a_thread(lambda: adopt(ThreadPriority.ACQUISITION))
+    said = in_a_thread(lambda: set_thread_priority(ThreadPriority.ACQUISITION))
     assert said == ("niceness -10" if NICE else "ordinary")

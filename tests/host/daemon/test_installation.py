@@ -72,8 +72,8 @@ def test_udev_reads_the_rules() -> None:
 
 def test_the_unit_lets_acquisition_come_first() -> None:
     limits = dict(re.findall(r"^(Limit\w+)=(\S+)$", UNIT.read_text(), re.M))
-    assert int(limits["LimitRTPRIO"]) == max(urgency.real_time for urgency in ThreadPriority)
-    assert int(limits["LimitNICE"]) == min(urgency.niceness for urgency in ThreadPriority)
+    assert int(limits["LimitRTPRIO"]) == max(priority.real_time for priority in ThreadPriority)
+    assert int(limits["LimitNICE"]) == min(priority.niceness for priority in ThreadPriority)
 
 
 def test_the_kernel_is_asked_for_memory_where_the_driver_looks() -> None:

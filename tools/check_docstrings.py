@@ -102,7 +102,9 @@ def findings(path: Path, public: frozenset[str]) -> Iterator[str]:
         if inspect.isclass(thing):
             attributes = NumpyDocString(inspect.getdoc(thing) or "")["Attributes"]
             documented = {name for entry in attributes for name in re.split(r",\s*", entry[0])}
-            parameters = set() if issubclass(thing, enum.Enum) else fields_or_arguments(thing)
+            # nobody makes an object of an enumeration's or a Protocol's class
+            made = not issubclass(thing, enum.Enum) and not getattr(thing, "_is_protocol", False)
+            parameters = fields_or_arguments(thing) if made else set()
             if parameters <= documented:  # of a dataclass, the attributes are the parameters
                 faults = [fault for fault in faults if fault[0] != "PR01"]
             faults += attribute_faults(attributes)

@@ -1,4 +1,4 @@
-"""What acquisition counted during a recording, as a small file beside it."""
+"""Summary of a recording's run, as a small file beside the recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,18 @@ from hueflight.files import replace_file
 
 
 def summarise(result: RunResult, /) -> dict[str, Any]:
-    """Counts of a run by name."""
+    """Return what was counted in a run.
+
+    Parameters
+    ----------
+    result : RunResult
+        Result of the run.
+
+    Returns
+    -------
+    dict
+        Counts by name, for JSON.
+    """
     return {
         "kind": result.plan.kind,
         "simulated": result.simulated,
@@ -30,9 +41,20 @@ def summarise(result: RunResult, /) -> dict[str, Any]:
 
 
 def write_summary(recording: Path, result: RunResult, /) -> dict[str, Any]:
-    """Write NAME.json beside a recording, whole or not at all; return what is in it.
+    """Write NAME.json beside a recording, whole or not at all.
 
-    A disk that is full keeps nothing from being said: the summary is returned all the same.
+    Parameters
+    ----------
+    recording : Path
+        Path of the recording.
+    result : RunResult
+        Result of its run.
+
+    Returns
+    -------
+    dict
+        Content of the summary; also where a disk that is full can't take the file, which is then
+        the failure that the summary names.
     """
     summary = {"name": recording.stem} | summarise(result)
     try:

@@ -1,4 +1,4 @@
-"""What the LEDs do during a capture, whoever drives them."""
+"""Illumination of captures: what the LEDs do, whichever device drives them."""
 
 from __future__ import annotations
 
@@ -16,18 +16,30 @@ GUIDANCE: dict[CaptureKind, str] = {
     "dark": "Leave everything as it is: the LEDs stay off.",
     "flat": "Light the target evenly and steadily with a lamp, not with the LEDs.",
 }
-"""What a person does before a capture."""
+"""What a person has to do before a capture of each kind."""
 
 
 class Illumination(Protocol):
-    """Drives the LEDs as a capture needs it."""
+    """Drives the LEDs as a capture needs it.
+
+    Attributes
+    ----------
+    name : str
+        Name for people, such as the serial port of the illuminator.
+    """
 
     name: str
 
     def prepare(self, kind: CaptureKind, frames: int, /) -> None:
-        """Have the LEDs fire for a capture; of kind ``"bands"``, each alone for `frames` frames.
+        """Set the LEDs up for a capture, before the camera's run begins.
 
-        Called before the camera's run begins. Steps are marked in the frames' headers.
+        Parameters
+        ----------
+        kind : CaptureKind
+            What the capture is for. For ``"bands"`` the LEDs fire one at a time, and the marker
+            in the headers of the frames is the number of the LED.
+        frames : int
+            Number of frames for each LED of a capture of kind ``"bands"``.
 
         Raises
         ------
@@ -37,21 +49,34 @@ class Illumination(Protocol):
         ...
 
     def keep_alive(self) -> None:
-        """Feed the board's watchdog; called at least twice a second while a run is on."""
+        """Feed the board's watchdog; called at least twice a second during a run."""
         ...
 
     def close(self) -> None:
-        """Leave the LEDs dark."""
+        """Turn the LEDs off and release the device."""
         ...
 
 
 class NoIllumination:
-    """No illuminator is plugged in: LEDs fire as something else has set them."""
+    """Stands for a missing illuminator: something else drives the LEDs."""
 
     name = "none"
 
     def prepare(self, kind: CaptureKind, frames: int, /) -> None:
-        """Accept what needs nothing switched."""
+        """Accept a capture that needs no LEDs switched.
+
+        Parameters
+        ----------
+        kind : CaptureKind
+            What the capture is for.
+        frames : int
+            Number of frames for each LED; not used.
+
+        Raises
+        ------
+        DeviceNotFoundError
+            If the capture needs LEDs switched.
+        """
         if kind in ("bands", "dark"):
             raise DeviceNotFoundError(
                 f"capture {kind!r} switches LEDs, but no illuminator is connected: plug it in, or "
@@ -59,7 +84,7 @@ class NoIllumination:
             )
 
     def keep_alive(self) -> None:
-        """Nothing to feed."""
+        """Do nothing: there is no watchdog."""
 
     def close(self) -> None:
-        """Nothing to switch off."""
+        """Do nothing: there is no LED to turn off."""

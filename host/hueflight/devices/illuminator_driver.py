@@ -1,4 +1,4 @@
-"""An illuminator as the lights of a capture."""
+"""The illuminator board as the illumination of captures."""
 
 from __future__ import annotations
 
@@ -19,8 +19,17 @@ class IlluminatorDriver:
 
     Parameters
     ----------
-    illuminator : opened; closed with this.
-    instrument : whose bands are the channels, in order.
+    illuminator : Illuminator
+        The board, opened; it is closed with this driver.
+    instrument : Instrument
+        Instrument whose bands are the channels, in order.
+
+    Attributes
+    ----------
+    name : str
+        Port of the board.
+    schedule : TickSchedule
+        What the board plays.
     """
 
     def __init__(self, illuminator: Illuminator, instrument: Instrument, /) -> None:
@@ -34,7 +43,20 @@ class IlluminatorDriver:
         illuminator.select(0)
 
     def prepare(self, kind: CaptureKind, frames: int, /) -> None:
-        """Have the LEDs fire for a capture; of kind ``"bands"``, each alone for `frames` frames."""
+        """Set the LEDs up for a capture, before the camera's run begins.
+
+        Parameters
+        ----------
+        kind : CaptureKind
+            What the capture is for; for ``"bands"`` the LEDs fire one at a time.
+        frames : int
+            Number of frames for each LED of a capture of kind ``"bands"``.
+
+        Raises
+        ------
+        DeviceError
+            If the board does not answer, or there is no frame for an LED.
+        """
         board = self._illuminator
         board.stop()
         if kind in ("dark", "flat"):
@@ -52,5 +74,5 @@ class IlluminatorDriver:
         self._illuminator.feed()
 
     def close(self) -> None:
-        """Leave the LEDs dark."""
+        """Turn the LEDs off and release the board."""
         self._illuminator.close()

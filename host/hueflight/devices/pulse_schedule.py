@@ -1,4 +1,4 @@
-"""When LEDs fire: schedules in nanoseconds, rounded to ticks, refused where they can't be."""
+"""Pulse schedules: when LEDs fire, in nanoseconds, and rounded to the ticks of a board."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hueflight_protocol.illuminator_map import MAX_PERIOD_TICKS, MIN_PERIOD_CLOC
 
 
 class ScheduleError(HueflightError):
-    """A schedule that the illuminator can't or must not play."""
+    """A schedule or program that the illuminator can't or must not play."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +22,10 @@ class ChannelPulse:
 
     Attributes
     ----------
-    delay_ns : from the trigger to the rising edge.
-    width_ns : of the drive.
+    delay_ns : float
+        Time from the trigger to the rising edge, in nanoseconds.
+    width_ns : float
+        Width of the drive pulse, in nanoseconds.
     """
 
     delay_ns: float
@@ -36,9 +38,12 @@ class PulseSchedule:
 
     Attributes
     ----------
-    channels : pulses of each channel; up to as many as the board has, the others stay dark.
-    period_ns : one LED train.
-    overlap : pulses may coincide: two channels at once, or two pulses of one.
+    channels : tuple of tuple of ChannelPulse
+        Pulses of each channel; channels of the board beyond these stay off.
+    period_ns : float
+        Period of the pulse trains, in nanoseconds.
+    overlap : bool
+        True if pulses may coincide, of two channels or of one.
     """
 
     channels: tuple[tuple[ChannelPulse, ...], ...]
@@ -55,7 +60,21 @@ class PulseSchedule:
         width_ns: float = 10.0,
         period_ns: float = 320.0,
     ) -> PulseSchedule:
-        """One pulse a channel, evenly spaced; the defaults are the paper's (Table 1)."""
+        """Return a schedule of one pulse for each channel, evenly spaced.
+
+        Parameters
+        ----------
+        channels : int
+            Number of channels.
+        spacing_ns, width_ns, period_ns : float
+            Time from pulse to pulse, width of the pulses, and period, in nanoseconds; the
+            defaults are the paper's (Table 1).
+
+        Returns
+        -------
+        PulseSchedule
+            The schedule.
+        """
         pulses = tuple((ChannelPulse(spacing_ns * k, width_ns),) for k in range(channels))
         return cls(pulses, period_ns)
 
@@ -84,12 +103,14 @@ class PulseSchedule:
 
 @dataclass(frozen=True)
 class ChannelLimit:
-    """What a channel can't exceed, whatever is asked of it.
+    """Limits of a channel that the board enforces.
 
     Attributes
     ----------
-    on_ticks : longest time on without a pause.
-    burst_ticks, duty_divisor : in L ticks it is on for at most L / divisor + burst.
+    on_ticks : int
+        Longest time on without a pause, in ticks.
+    burst_ticks, duty_divisor : int
+        In any stretch of L ticks the channel is on for at most L / `duty_divisor` + `burst_ticks`.
     """
 
     on_ticks: int
@@ -103,10 +124,12 @@ class Capacity:
 
     Attributes
     ----------
-    channels, pulses, steps, lanes : LED channels, pulses of each, steps of a program, ticks
-        per clock.
-    tick_ns : length of a tick.
-    limits : of each channel.
+    channels, pulses, steps, lanes : int
+        Number of LED channels, of pulses of each, of steps of a program, and of ticks per clock.
+    tick_ns : float
+        Length of a tick, in nanoseconds.
+    limits : tuple of ChannelLimit
+        Limits of each channel.
     """
 
     channels: int
@@ -124,7 +147,15 @@ class Capacity:
 
 @dataclass(frozen=True)
 class TickPulse:
-    """One pulse in ticks."""
+    """One pulse in ticks.
+
+    Attributes
+    ----------
+    delay : int
+        Time from the trigger to the rising edge.
+    width : int
+        Width of the pulse.
+    """
 
     delay: int
     width: int
@@ -136,12 +167,17 @@ class TickSchedule:
 
     Attributes
     ----------
-    channels : pulses of each channel, in ticks.
-    period : in ticks.
-    busy : for so long after a trigger the board takes no other; shorter than the period by
-        one clock, so that a trigger which is not synchronous can come early.
-    tick_ns : length of a tick.
-    delay_error_ns, width_error_ns, period_error_ns : largest difference to what was asked for.
+    channels : tuple of tuple of TickPulse
+        Pulses of each channel.
+    period : int
+        Period in ticks.
+    busy : int
+        Time after a trigger in which the board takes no other, in ticks; shorter than the period
+        by one clock, so that a trigger which is not synchronous can come early.
+    tick_ns : float
+        Length of a tick, in nanoseconds.
+    delay_error_ns, width_error_ns, period_error_ns : float
+        Largest rounding errors, in nanoseconds.
     """
 
     channels: tuple[tuple[TickPulse, ...], ...]
@@ -154,7 +190,19 @@ class TickSchedule:
 
 
 def to_ticks(schedule: PulseSchedule, capacity: Capacity, /) -> TickSchedule:
-    """Round a schedule to ticks, having made sure that the board will play it as it stands.
+    """Round a schedule to ticks, and check that the board will play it unchanged.
+
+    Parameters
+    ----------
+    schedule : PulseSchedule
+        Schedule in nanoseconds.
+    capacity : Capacity
+        What the board was built for.
+
+    Returns
+    -------
+    TickSchedule
+        The schedule in ticks, with the errors of rounding.
 
     Raises
     ------
@@ -228,7 +276,7 @@ def _pulse(
 def _check_limits(
     channel: int, pulses: Sequence[TickPulse], period: int, capacity: Capacity
 ) -> None:
-    """Play the channel on the board's own limiter until it repeats itself."""
+    """Compare a channel with its limits as the board's limiter does."""
     limit = capacity.limits[channel]
     tick = capacity.tick_ns
     for run in _runs(pulses, period):

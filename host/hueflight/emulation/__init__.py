@@ -1,4 +1,4 @@
-"""The boards in software, behind the interfaces of the real ones."""
+"""The camera and its illumination in software, behind the interfaces of the real boards."""
 
 from hueflight.emulation.camera_model import CameraModel
 from hueflight.emulation.frame_bank import FrameBank

@@ -1,7 +1,7 @@
-"""The camera in software, as seen from its endpoints: the one model behind every emulation.
+"""A model of the camera as seen from its endpoints, on which every emulation is built.
 
-Requests go to the same register file that the gateware is checked against. Frames become due as
-time passes; what the link does not fetch in time is dropped whole, counted and announced.
+Requests are answered by the same register file that the gateware is verified against. Frames become
+due as time passes; frames that the link does not fetch in time are dropped whole, and counted.
 """
 
 from __future__ import annotations
@@ -37,13 +37,16 @@ BUFFER_BYTES = 8 << 20  #: a software clock is late by milliseconds, so it needs
 
 @dataclass(frozen=True)
 class Sent:
-    """What the model knows to have happened, for comparison with what a host has counted.
+    """What the model did, for comparison with what a host has counted.
 
     Attributes
     ----------
-    frames : of all runs, dropped ones too.
-    dropped : for want of room in the buffer.
-    packets : handed to the link, or waiting for it.
+    frames : int
+        Number of frames of all runs, including those dropped.
+    dropped : int
+        Number of frames dropped because the buffer was full.
+    packets : int
+        Number of packets handed to the link, or waiting for it.
     """
 
     frames: int = 0
@@ -52,15 +55,27 @@ class Sent:
 
 
 class CameraModel:
-    """A camera without silicon.
+    """A camera in software.
 
     Parameters
     ----------
-    sensor : geometry and code width.
-    bank : what the sensor sees.
-    serial : number of the board.
-    buffer_bytes : packets that may wait for the link.
-    now_s : clock; tests pass their own.
+    sensor : Sensor
+        Geometry and code width.
+    bank : FrameBank
+        What the sensor sees.
+    serial : int
+        Serial number of the board.
+    buffer_bytes : int
+        Most bytes of packets that wait for the link.
+    now_s : callable
+        Clock in seconds; tests pass their own.
+
+    Attributes
+    ----------
+    registers : RegisterFile
+        Registers of the board.
+    sent : Sent
+        What the model did.
     """
 
     def __init__(
@@ -100,14 +115,25 @@ class CameraModel:
     # -- control ------------------------------------------------------------------------------
 
     def handle(self, message: bytes, /) -> bytes | None:
-        """Answer a control message as the board does."""
+        """Answer a control message as the board does.
+
+        Parameters
+        ----------
+        message : bytes
+            The message.
+
+        Returns
+        -------
+        bytes or None
+            The answer, None if there is none.
+        """
         with self._lock:
             self.advance()
             self._publish()
             return self.registers.handle(message)
 
     def _publish(self) -> None:
-        """Show the counters in the registers."""
+        """Copy the counters to the registers."""
         clock = int((self._now_s() - self._powered_s) * CLOCK_HZ)
         for value in (
             registers.Uptime(clock),
@@ -166,7 +192,7 @@ class CameraModel:
 
     @property
     def frame_s(self) -> float:
-        """Time from one frame to the next, as the registers have it."""
+        """Time from one frame to the next in seconds, as the registers set it."""
         value = self._value
         exposed = value(registers.Period) * value(registers.Exposure) + value(registers.Gap)
         if value(registers.Readout):
@@ -174,7 +200,7 @@ class CameraModel:
         return (exposed + self._readout_clocks) / CLOCK_HZ
 
     def advance(self) -> None:
-        """Let the time pass: put every frame that is due into the buffer, or drop it."""
+        """Put every frame that is due by now into the buffer, or drop it."""
         with self._lock:
             if not self._running:
                 return
@@ -211,7 +237,18 @@ class CameraModel:
             self._put(encode_status(self._status()))
 
     def pull(self, limit: int, /) -> bytes:
-        """Bytes for one transfer: what waits, at most `limit`; ``b""`` if nothing does."""
+        """Return the bytes of one transfer.
+
+        Parameters
+        ----------
+        limit : int
+            Most bytes of the transfer.
+
+        Returns
+        -------
+        bytes
+            What waits for the link, empty if nothing does.
+        """
         with self._lock:
             self.advance()
             parts: list[bytes] = []
@@ -228,11 +265,11 @@ class CameraModel:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes that the link has not fetched yet."""
+        """Number of bytes that the link has not fetched yet."""
         return self._waiting_bytes
 
     def reset(self) -> None:
-        """Power lost and come back: registers, counters and buffer as after configuration."""
+        """Lose power and get it back: registers, counters and buffer as after configuration."""
         with self._lock:
             self._running = False
             self._waiting.clear()

@@ -1,7 +1,7 @@
-"""Frames ready-made, stamped with new numbers each time they are sent.
+"""Ready-made frames, which get new numbers each time they are sent.
 
-Drawing photons is far slower than a camera; a simulated one repeats a bank of frames in an order
-that changes from pass to pass, so that its pictures have fresh noise for minutes.
+Drawing photons is far slower than a camera. A simulated camera repeats a bank of frames in an order
+that changes from pass to pass, so that the noise of its pictures differs for minutes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,13 @@ _WORD = (1 << 32) - 1
 
 
 class Template:
-    """One frame packet whose numbers are still open."""
+    """One frame packet whose numbers are still to be filled in.
+
+    Parameters
+    ----------
+    packet : bytes
+        A complete frame packet.
+    """
 
     __slots__ = ("_body", "_check", "_packet")
 
@@ -37,7 +43,7 @@ class Template:
         self._check = xor_words(bytes(self._packet[: FRAME_HEADER.size]))
 
     def __len__(self) -> int:
-        """Bytes of the packet."""
+        """Return the number of bytes of the packet."""
         return len(self._packet)
 
     def stamp(
@@ -50,7 +56,18 @@ class Template:
         capture: int = 0,
         clock_hz: int = 0,
     ) -> bytes:
-        """The packet with these numbers, its check word and CRC right."""
+        """Return the packet with these numbers and with a correct check word and CRC.
+
+        Parameters
+        ----------
+        sequence, timestamp, frame, dropped, capture, clock_hz : int
+            Fields of the frame header.
+
+        Returns
+        -------
+        bytes
+            The packet.
+        """
         packet = self._packet
         _STAMP.pack_into(packet, _SEQUENCE_AT, sequence, timestamp, frame)
         packet[_DROPPED_AT : _DROPPED_AT + 4] = dropped.to_bytes(4, "little")
@@ -64,13 +81,17 @@ class Template:
 
 
 class FrameBank:
-    """Frames by step of the illuminator, repeated for ever.
+    """Frames by step of the sequencer program, repeated without end.
 
     Parameters
     ----------
-    packets : frame packets; their step markers tell where they belong.
-    frames_per_step : how long each step lasts before the next; the last one stays.
-    seed : of the order of repetition.
+    packets : iterable of bytes
+        Frame packets; their step markers say which step they belong to.
+    frames_per_step : int
+        Number of frames from each step to the next; the last step goes on. 0 for the first step
+        only.
+    seed : int
+        Seed of the order of repetition.
     """
 
     def __init__(
@@ -88,12 +109,23 @@ class FrameBank:
 
     @property
     def bytes_per_frame(self) -> float:
-        """Mean size of a packet."""
+        """Mean size of a packet, in bytes."""
         sizes = [len(template) for step in self._steps for template in step]
         return sum(sizes) / len(sizes)
 
     def template(self, frame: int, /) -> Template:
-        """What the sensor saw in a frame of the run."""
+        """Return what the sensor sees in a frame of the run.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame in the run.
+
+        Returns
+        -------
+        Template
+            The frame.
+        """
         step = frame // self._frames_per_step if self._frames_per_step else 0
         step = min(step, len(self._steps) - 1)
         bank = self._steps[step]
@@ -107,7 +139,26 @@ class FrameBank:
     def random(
         cls, sensor: Sensor, *, occupancy: float, frames: int = 64, seed: int = 0, run: int = 512
     ) -> FrameBank:
-        """Codes without a scene: each pixel lit with probability `occupancy`, any code alike."""
+        """Return a bank of frames without a scene, in which all codes are equally likely.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            Geometry and code width.
+        occupancy : float
+            Probability that a pixel has a code.
+        frames : int
+            Number of frames.
+        seed : int
+            Seed of the codes and of the order of repetition.
+        run : int
+            Number of pixels per chunk of a packet.
+
+        Returns
+        -------
+        FrameBank
+            The bank.
+        """
         rng = np.random.default_rng(seed)
         shape = (sensor.rows, sensor.cols)
 
@@ -125,7 +176,28 @@ class FrameBank:
 def simulated_packets(
     kind: str, instrument_json: str, scene: str, distance: float, frames: int, seed: int
 ) -> list[bytes]:
-    """Packets of a simulated capture; all arguments are plain, for a process of its own."""
+    """Draw the packets of a simulated capture, in a process of its own.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the capture.
+    instrument_json : str
+        The instrument as JSON.
+    scene : str
+        Name of the scene, used where the kind is ``"scene"``.
+    distance : float
+        Distance of the white target, in metres.
+    frames : int
+        Number of frames.
+    seed : int
+        Seed of the photons.
+
+    Returns
+    -------
+    list of bytes
+        The packets.
+    """
     from hueflight import simulator
 
     instrument = Instrument.from_json(instrument_json)

@@ -1,4 +1,4 @@
-"""A model's endpoints without a bus between: the transport and stream of a simulated board."""
+"""Transport and stream of a simulated board: the endpoints of a model, without a bus."""
 
 from __future__ import annotations
 
@@ -14,7 +14,15 @@ _POLL_S = 0.002  #: how often a stream looks for frames that have become due
 
 
 class SimulatedTransport:
-    """Messages to a function that answers like a board; see `RegisterFile.handle`."""
+    """Carries messages to a function that answers as a board does.
+
+    Parameters
+    ----------
+    handle : callable
+        Returns the answer to a message, or None; see `RegisterFile.handle`.
+    name : str
+        Place of the board for people.
+    """
 
     def __init__(self, handle: Callable[[bytes], bytes | None], name: str = "simulated") -> None:
         self.name = name
@@ -22,7 +30,13 @@ class SimulatedTransport:
         self._answers: deque[bytes] = deque()
 
     def send(self, message: bytes, /) -> None:
-        """Ask."""
+        """Send one encoded request.
+
+        Parameters
+        ----------
+        message : bytes
+            The request.
+        """
         if self._handle is None:
             raise DeviceGoneError(f"{self.name}: the simulated board is closed")
         answer = self._handle(message)
@@ -30,11 +44,22 @@ class SimulatedTransport:
             self._answers.append(answer)
 
     def receive(self, timeout_s: float, /) -> bytes | None:
-        """Take the answer; a model answers at once or never."""
+        """Return the answer; a model answers at once or never.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Not used.
+
+        Returns
+        -------
+        bytes or None
+            The answer, None if there is none.
+        """
         return self._answers.popleft() if self._answers else None
 
     def close(self) -> None:
-        """Leave."""
+        """Release the model."""
         self._handle = None
 
 
@@ -43,8 +68,10 @@ class SimulatedStream:
 
     Parameters
     ----------
-    model : whose packets.
-    transfer_bytes : most bytes at a time.
+    model : CameraModel
+        The camera.
+    transfer_bytes : int
+        Most bytes that are read at once.
     """
 
     def __init__(self, model: CameraModel, transfer_bytes: int, /) -> None:
@@ -53,7 +80,18 @@ class SimulatedStream:
         self._received = 0
 
     def read(self, timeout_s: float, /) -> bytes:
-        """What the model has ready; waits for the next frame at most `timeout_s`."""
+        """Return the bytes that are ready.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait for the next frame, in seconds.
+
+        Returns
+        -------
+        bytes
+            Part of the stream, empty if no frame came in time.
+        """
         deadline = time.monotonic() + timeout_s
         while not (data := self._model.pull(self._transfer_bytes)):
             if time.monotonic() >= deadline:
@@ -71,4 +109,4 @@ class SimulatedStream:
         return StreamStatistics(self._received, self._model.waiting_bytes)
 
     def close(self) -> None:
-        """Leave."""
+        """Release the model."""

@@ -1,4 +1,4 @@
-"""The seam below the control protocol: whatever carries whole messages to a board and back."""
+"""Interface below the control protocol: what carries whole messages to a board and back."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ from typing import Protocol
 
 
 class Transport(Protocol):
-    """Carries control messages, each whole or not at all; knows nothing of what they say.
+    """Carries control messages, each whole or not at all.
 
-    `name` is how people know the place: ``/dev/ttyUSB0``, ``USB 1-4``, ``simulated``.
+    Attributes
+    ----------
+    name : str
+        Place of the board for people, such as ``/dev/ttyUSB0``, ``USB 001:004``, ``simulated``.
     """
 
     name: str
 
     def send(self, message: bytes, /) -> None:
         """Send one encoded request.
+
+        Parameters
+        ----------
+        message : bytes
+            The request.
 
         Raises
         ------
@@ -24,7 +32,17 @@ class Transport(Protocol):
         ...
 
     def receive(self, timeout_s: float, /) -> bytes | None:
-        """Return the next whole message, or None if none came in time.
+        """Return the next whole message.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait, in seconds.
+
+        Returns
+        -------
+        bytes or None
+            The message, None if none came in time.
 
         Raises
         ------
@@ -34,5 +52,5 @@ class Transport(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the line back; closing twice is harmless."""
+        """Release the line; closing twice is harmless."""
         ...

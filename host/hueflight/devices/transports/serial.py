@@ -23,7 +23,10 @@ _MOST_BYTES = 4096
 class ByteLine(Protocol):
     """Bytes to and from a board: a serial port, a pseudo terminal, a simulated pin.
 
-    `name` is how people know the place.
+    Attributes
+    ----------
+    name : str
+        Place of the board for people.
     """
 
     name: str
@@ -33,11 +36,22 @@ class ByteLine(Protocol):
         ...
 
     def read(self, timeout_s: float, /) -> bytes:
-        """Return what has come, waiting for the first byte at most so long."""
+        """Return what has come.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait for the first byte, in seconds.
+
+        Returns
+        -------
+        bytes
+            The bytes, empty if none came in time.
+        """
         ...
 
     def close(self) -> None:
-        """Give the line back; closing twice is harmless."""
+        """Release the line; closing twice is harmless."""
         ...
 
 
@@ -48,7 +62,8 @@ class SerialTransport:
 
     Parameters
     ----------
-    line : to send and receive on.
+    line : ByteLine
+        Line to send and receive on.
     """
 
     def __init__(self, line: ByteLine, /) -> None:
@@ -62,7 +77,18 @@ class SerialTransport:
         self._line.write(b"\0" + serial_frame(message))
 
     def receive(self, timeout_s: float, /) -> bytes | None:
-        """Return the next whole message, or None if none came in time."""
+        """Return the next whole message.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait, in seconds.
+
+        Returns
+        -------
+        bytes or None
+            The message, None if none came in time.
+        """
         deadline = time.monotonic() + timeout_s
         while not self._messages:
             left = deadline - time.monotonic()
@@ -72,7 +98,7 @@ class SerialTransport:
         return self._messages.pop(0)
 
     def close(self) -> None:
-        """Give the line back."""
+        """Release the line."""
         self._line.close()
 
 
@@ -81,8 +107,10 @@ class SerialPort:
 
     Parameters
     ----------
-    path : such as ``/dev/ttyUSB0``.
-    baud : must be the gateware's.
+    path : str
+        Serial port, such as ``/dev/ttyUSB0``.
+    baud : int
+        Line rate in bits per second; must be the gateware's.
 
     Raises
     ------
@@ -111,7 +139,18 @@ class SerialPort:
             raise self._gone(error) from error
 
     def read(self, timeout_s: float, /) -> bytes:
-        """Return what has come, waiting for the first byte at most so long."""
+        """Return what has come.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait for the first byte, in seconds.
+
+        Returns
+        -------
+        bytes
+            The bytes, empty if none came in time.
+        """
         try:
             self._port.timeout = timeout_s
             first = self._port.read(1)
@@ -120,7 +159,7 @@ class SerialPort:
             raise self._gone(error) from error
 
     def close(self) -> None:
-        """Give the port back."""
+        """Release the port."""
         self._port.close()
 
     def _gone(self, error: OSError) -> DeviceGoneError:

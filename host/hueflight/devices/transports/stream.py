@@ -1,4 +1,4 @@
-"""The seam of the packet stream: pieces of bytes in order, and what became of the rest."""
+"""Interface of the packet stream: pieces of bytes in order, and the link's statistics."""
 
 from __future__ import annotations
 
@@ -12,12 +12,18 @@ class StreamStatistics:
 
     Attributes
     ----------
-    received_bytes : delivered by the link.
-    queued_bytes, queue_limit_bytes : received and not yet read, and the most there may be.
-    stalls, stalled_s : how often and how long the reader was so late that the host asked the
-        camera for nothing; what the camera drops meanwhile is the host's loss.
-    link_errors : stalls, overflows and failed transfers of the link; the parser finds what of
-        the stream they cost.
+    received_bytes : int
+        Number of bytes that the link delivered.
+    queued_bytes, queue_limit_bytes : int
+        Number of bytes received and not yet read, and the most there may be.
+    stalls : int
+        How many times the reader was so late that the host asked the camera for no data. What
+        the camera drops meanwhile is a loss of the host.
+    stalled_s : float
+        Total duration of the stalls, in seconds.
+    link_errors : int
+        Number of halts, overflows and failed transfers of the link; the parser finds what of the
+        stream they cost.
     """
 
     received_bytes: int = 0
@@ -32,7 +38,17 @@ class Stream(Protocol):
     """Bytes of the packet stream, in order and in pieces of any size."""
 
     def read(self, timeout_s: float, /) -> bytes:
-        """Return the next piece, or ``b""`` if none came in time.
+        """Return the next piece.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait, in seconds.
+
+        Returns
+        -------
+        bytes
+            The piece, empty if none came in time.
 
         Raises
         ------
@@ -47,5 +63,5 @@ class Stream(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop asking and give the link back; closing twice is harmless."""
+        """Stop asking for data and release the link; closing twice is harmless."""
         ...

@@ -1,4 +1,4 @@
-"""Cameras on USB: who is there, and control messages over bulk endpoints (pyusb)."""
+"""Cameras on USB: discovery, and control messages over bulk endpoints (pyusb)."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ class UsbPlace:
 
     Attributes
     ----------
-    serial : serial-number string, None where this user may not read it.
-    bus, address : where it is now; the address changes with every plugging.
+    serial : str or None
+        Serial number, None where this user may not read it.
+    bus, address : int
+        Where the camera is now; the address changes whenever it is plugged in.
     """
 
     serial: str | None
@@ -52,12 +54,17 @@ class UsbPlace:
 
     @property
     def name(self) -> str:
-        """The place as people say it."""
+        """The place for people."""
         return f"USB {self.bus:03d}:{self.address:03d}"
 
 
 def find_cameras() -> list[UsbPlace]:
-    """Every camera on USB, whether it can be opened or not.
+    """Return every camera on USB, whether it can be opened or not.
+
+    Returns
+    -------
+    list of UsbPlace
+        The cameras, by bus and address.
 
     Raises
     ------
@@ -79,6 +86,16 @@ def find_cameras() -> list[UsbPlace]:
 
 def open_camera(serial: str | None = None) -> Camera:
     """Open the camera with a serial number, or the only one there is.
+
+    Parameters
+    ----------
+    serial : str, optional
+        Serial number of the camera.
+
+    Returns
+    -------
+    Camera
+        The camera.
 
     Raises
     ------

@@ -38,7 +38,13 @@ _CANCEL_S = 2.0
 
 
 def in_flight_limit() -> int:
-    """Bytes of transfers that may be under way: half of what the kernel grants all programs."""
+    """Return the most bytes of transfers under way: half of what the kernel grants all programs.
+
+    Returns
+    -------
+    int
+        Number of bytes.
+    """
     try:
         megabytes = int(USBFS_LIMIT.read_text())
     except (OSError, ValueError):
@@ -51,10 +57,14 @@ class UsbStream:
 
     Parameters
     ----------
-    bus, address : where the camera is.
-    transfer_bytes : size of a transfer, made a multiple of 1024 so that nothing overflows.
-    transfers : how many are under way at most; fewer if memory is short.
-    queue_bytes : most bytes that wait for the reader.
+    bus, address : int
+        Where the camera is.
+    transfer_bytes : int
+        Size of a transfer in bytes, rounded to a multiple of 1024 so that nothing overflows.
+    transfers : int
+        Most transfers under way at once; fewer if memory is short.
+    queue_bytes : int
+        Most bytes that wait for the reader.
     """
 
     def __init__(
@@ -225,7 +235,7 @@ class UsbStream:
                     transfer.cancel()
 
     def _arrived(self, transfer: Any) -> None:
-        """Book a finished transfer and send it on its way again; libusb calls this."""
+        """Take the data of a finished transfer and submit it again; libusb calls this."""
         status, size = transfer.getStatus(), transfer.getActualLength()
         with self._changed:
             self._under_way -= 1

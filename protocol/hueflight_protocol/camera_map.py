@@ -47,6 +47,11 @@ def camera_map(
     clock_hz : int
         Frequency of the device clock.
 
+    Returns
+    -------
+    RegisterMap
+        The registers.
+
     Raises
     ------
     RegisterError

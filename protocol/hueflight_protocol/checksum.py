@@ -14,7 +14,18 @@ CRC_CHECK_VALUE = 0xE3069283
 
 
 def crc32c(data: bytes | bytearray | memoryview, /) -> int:
-    """Return the CRC-32C of `data`."""
+    """Return the CRC-32C of `data`.
+
+    Parameters
+    ----------
+    data : bytes-like
+        Bytes to check.
+
+    Returns
+    -------
+    int
+        The checksum, 32 bits.
+    """
     # The library refuses writable buffers, so anything but bytes is copied first.
     return google_crc32c.value(data if isinstance(data, bytes) else bytes(data))
 
@@ -23,6 +34,16 @@ def xor_words(data: bytes | bytearray | memoryview, /) -> int:
     """Return the exclusive or of all little-endian 32-bit words of `data`.
 
     Over a whole packet header, its check word included, the result is zero.
+
+    Parameters
+    ----------
+    data : bytes-like
+        A multiple of 4 bytes.
+
+    Returns
+    -------
+    int
+        The check word.
     """
     check = 0
     for (word,) in struct.iter_unpack("<I", data):

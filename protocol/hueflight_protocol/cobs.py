@@ -13,7 +13,18 @@ _BLOCK = 254
 
 
 def cobs_encode(message: bytes, /) -> bytes:
-    """Return `message` with every zero byte stuffed away; no delimiter is added."""
+    """Encode a message so that it has no zero byte.
+
+    Parameters
+    ----------
+    message : bytes
+        Any bytes.
+
+    Returns
+    -------
+    bytes
+        The encoded message, without a delimiter.
+    """
     out = bytearray()
     parts = message.split(b"\0")
     for number, part in enumerate(parts):
@@ -33,6 +44,16 @@ def cobs_encode(message: bytes, /) -> bytes:
 
 def cobs_decode(encoded: bytes, /) -> bytes:
     """Return the message in `encoded`, which holds no delimiter.
+
+    Parameters
+    ----------
+    encoded : bytes
+        One encoded message.
+
+    Returns
+    -------
+    bytes
+        The message.
 
     Raises
     ------
@@ -85,7 +106,18 @@ class CobsDecoder:
         self._skipping = False
 
     def feed(self, data: bytes, /) -> list[bytes]:
-        """Take bytes in any pieces; return the messages that they complete."""
+        """Take bytes in pieces of any size.
+
+        Parameters
+        ----------
+        data : bytes
+            Next bytes of the line.
+
+        Returns
+        -------
+        list of bytes
+            The messages that they complete.
+        """
         messages: list[bytes] = []
         *ends, rest = data.split(b"\0")
         for piece in ends:

@@ -110,7 +110,7 @@ class Response:
 
     Parameters
     ----------
-    transaction, op, address
+    transaction, op, address : int
         As in the request; `op` without the response bit.
     result : int
         A `Result`.
@@ -153,7 +153,18 @@ def write(transaction: int, address: int, words: Sequence[int], /) -> Request:
 
 
 def encode_request(request: Request, /) -> bytes:
-    """Return the message of a request, not yet framed for a transport."""
+    """Return the message of a request, not yet framed for a transport.
+
+    Parameters
+    ----------
+    request : Request
+        The request.
+
+    Returns
+    -------
+    bytes
+        The message.
+    """
     return _encode(
         {
             "version": request.version,
@@ -168,7 +179,18 @@ def encode_request(request: Request, /) -> bytes:
 
 
 def encode_response(response: Response, /) -> bytes:
-    """Return the message of a response, not yet framed for a transport."""
+    """Return the message of a response, not yet framed for a transport.
+
+    Parameters
+    ----------
+    response : Response
+        The response.
+
+    Returns
+    -------
+    bytes
+        The message.
+    """
     return _encode(
         {
             "version": response.version,
@@ -183,12 +205,33 @@ def encode_response(response: Response, /) -> bytes:
 
 
 def serial_frame(message: bytes, /) -> bytes:
-    """Return a message as it travels on the serial line: COBS, then a zero byte."""
+    """Return a message as it travels on the serial line: COBS, then a zero byte.
+
+    Parameters
+    ----------
+    message : bytes
+        The message.
+
+    Returns
+    -------
+    bytes
+        The COBS frame and its delimiter.
+    """
     return cobs_encode(message) + b"\0"
 
 
 def decode_request(message: bytes, /) -> Request:
     """Return the request in a well-formed message, whatever it asks for.
+
+    Parameters
+    ----------
+    message : bytes
+        The message, without framing.
+
+    Returns
+    -------
+    Request
+        The request.
 
     Raises
     ------
@@ -210,6 +253,16 @@ def decode_request(message: bytes, /) -> Request:
 
 def decode_response(message: bytes, /) -> Response:
     """Return the response in a well-formed message.
+
+    Parameters
+    ----------
+    message : bytes
+        The message, without framing.
+
+    Returns
+    -------
+    Response
+        The response.
 
     Raises
     ------

@@ -34,7 +34,17 @@ class PacketError(ProtocolError):
 
 
 class AbortedFrameError(PacketError):
-    """A well-formed frame packet whose trailer says that the camera gave the frame up."""
+    """A well-formed frame packet whose trailer says that the camera gave the frame up.
+
+    Parameters
+    ----------
+    message : str
+        What was wrong, with the value.
+    rule : str
+        Number of the rule in the specification.
+    offset : int
+        Byte of the packet where it stood.
+    """
 
 
 class MessageError(ProtocolError):

@@ -95,7 +95,18 @@ class FrameHeader:
 
     @classmethod
     def from_wire(cls, values: Mapping[str, int], /) -> Self:
-        """Return the header whose fields `FRAME_HEADER` has unpacked."""
+        """Return the header whose fields `FRAME_HEADER` has unpacked.
+
+        Parameters
+        ----------
+        values : Mapping of str to int
+            Fields by name.
+
+        Returns
+        -------
+        FrameHeader
+            The header.
+        """
         named: dict[str, Any] = {field.name: values[field.name] for field in fields(cls)}
         return cls(**named | {"flags": FrameFlags(values["flags"])})
 
@@ -110,7 +121,13 @@ class FrameHeader:
         return -(-self.pixels // self.run)
 
     def pack(self) -> bytes:
-        """Return the header's 64 bytes."""
+        """Return the header's 64 bytes.
+
+        Returns
+        -------
+        bytes
+            The header with its check word.
+        """
         values = {field.name: int(getattr(self, field.name)) for field in fields(self)}
         head = FRAME_HEADER.pack(values | {"check": 0})
         return head[:-4] + xor_words(head).to_bytes(4, "little")

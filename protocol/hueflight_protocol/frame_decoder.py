@@ -23,6 +23,11 @@ def decode_frame(packet: bytes | bytearray | memoryview, /) -> Frame:
     packet : bytes-like
         Exactly one packet, from magic to CRC.
 
+    Returns
+    -------
+    Frame
+        Header and codes.
+
     Raises
     ------
     AbortedFrameError

@@ -44,11 +44,14 @@ def encode_frame(
 
     Parameters
     ----------
-    codes : array of integers, (rows, cols)
+    codes : array_like of int, shape (row, col)
         One code per pixel, 0 = no photon, below 2**code_bits. Masked pixels and codes outside
         a region or gate are already 0; `flags` says that this was so.
-    sequence, frame, timestamp, code_bits, run, periods, dropped, geometry, flags, step, \
-capture, clock_hz
+    sequence, frame, timestamp, code_bits, run, periods, dropped, geometry : int
+        Fields of `FrameHeader`.
+    flags : FrameFlags
+        Field of `FrameHeader`.
+    step, capture, clock_hz : int
         Fields of `FrameHeader`.
     abort_at : int, optional
         Make the packet of a frame that the camera gave up before this run: chunks of lower

@@ -68,6 +68,11 @@ def illuminator_map(
     clock_hz : int
         Frequency of the pulse generator's clock.
 
+    Returns
+    -------
+    RegisterMap
+        The registers.
+
     Raises
     ------
     RegisterError

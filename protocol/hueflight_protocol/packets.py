@@ -61,7 +61,7 @@ class Event:
     count : int
         Occurrences since the capture began.
     value : int
-        Depends on the code: bytes lost, millidegrees, …
+        Number whose meaning depends on the code, such as bytes lost or millidegrees.
     """
 
     header: PacketHeader
@@ -120,7 +120,13 @@ class TestPattern:
     words: NDArray[np.uint32]
 
     def errors(self) -> int:
-        """Return how many words do not follow from the word before them."""
+        """Return how many words do not follow from the word before them.
+
+        Returns
+        -------
+        int
+            Number of words.
+        """
         return int(np.count_nonzero(next_words(self.words[:-1], self.pattern) != self.words[1:]))
 
 
@@ -157,7 +163,18 @@ def next_words(words: NDArray[np.uint32], pattern: PatternKind, /) -> NDArray[np
 
 
 def encode_event(event: Event, /) -> bytes:
-    """Return the packet of an event."""
+    """Return the packet of an event.
+
+    Parameters
+    ----------
+    event : Event
+        The event.
+
+    Returns
+    -------
+    bytes
+        The packet.
+    """
     body = EVENT_BODY.pack(
         {
             "code": event.code,
@@ -170,7 +187,18 @@ def encode_event(event: Event, /) -> bytes:
 
 
 def encode_status(status: Status, /) -> bytes:
-    """Return the packet of a status."""
+    """Return the packet of a status.
+
+    Parameters
+    ----------
+    status : Status
+        The status.
+
+    Returns
+    -------
+    bytes
+        The packet.
+    """
     values = {field.name: getattr(status, field.name) for field in fields(status)[1:]}
     if values["temperature_mdeg"] is None:
         values["temperature_mdeg"] = TEMPERATURE_UNKNOWN
@@ -180,7 +208,24 @@ def encode_status(status: Status, /) -> bytes:
 def encode_test_pattern(
     header: PacketHeader, /, *, pattern: PatternKind, seed: int, words: int
 ) -> bytes:
-    """Return a test packet of `words` words, the first of which is `seed`."""
+    """Return a packet with a test pattern.
+
+    Parameters
+    ----------
+    header : PacketHeader
+        Sequence, timestamp, capture.
+    pattern : PatternKind
+        How each word follows from the one before.
+    seed : int
+        First word.
+    words : int
+        Number of words.
+
+    Returns
+    -------
+    bytes
+        The packet.
+    """
     if words < 1 or 4 + 4 * words > MAX_BODY_BYTES:
         raise ProtocolError(f"words = {words}: must be from 1 to {MAX_BODY_BYTES // 4 - 1}")
     if pattern == PatternKind.XORSHIFT and seed == 0:
@@ -204,6 +249,11 @@ def encode_packet(kind: int, body: bytes, header: PacketHeader, /) -> bytes:
         At most 2**20 bytes; padded with zeros to a multiple of 8.
     header : PacketHeader
         Sequence, timestamp, capture.
+
+    Returns
+    -------
+    bytes
+        The packet.
     """
     if kind == PacketType.FRAME:
         raise ProtocolError("type 1 is a frame: use encode_frame")
@@ -245,6 +295,16 @@ def packet_size(buffer: bytes | bytearray, start: int, /) -> int | None:
 
 def decode_packet(packet: bytes, /) -> Event | Status | TestPattern | Opaque:
     """Return what one whole packet that is not a frame carries.
+
+    Parameters
+    ----------
+    packet : bytes
+        Exactly one packet.
+
+    Returns
+    -------
+    Event, Status, TestPattern or Opaque
+        The content; `Opaque` for a type that this version does not know.
 
     Raises
     ------

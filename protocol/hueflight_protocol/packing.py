@@ -14,14 +14,15 @@ def pack_codes(codes: NDArray[np.uint16], code_bits: int, /) -> NDArray[np.uint8
 
     Parameters
     ----------
-    codes : array of uint16, (..., n)
-        n a multiple of 8; values below 2**code_bits.
+    codes : ndarray of uint16, shape (..., n)
+        Codes below 2**code_bits; n is a multiple of 8.
     code_bits : int
         Width of a code, 1 to 16.
 
     Returns
     -------
-    array of uint8, (..., n * code_bits / 8)
+    ndarray of uint8, shape (..., n * code_bits / 8)
+        Packed codes in little-endian bit order.
     """
     groups = np.ascontiguousarray(codes.reshape(-1, 8).T)
     out = np.zeros((code_bits, groups.shape[1]), np.uint8)
@@ -38,14 +39,15 @@ def unpack_codes(packed: NDArray[np.uint8], code_bits: int, /) -> NDArray[np.uin
 
     Parameters
     ----------
-    packed : array of uint8, (..., n * code_bits / 8)
-        n a multiple of 8.
+    packed : ndarray of uint8, shape (..., n * code_bits / 8)
+        Packed codes; n is a multiple of 8.
     code_bits : int
         Width of a code, 1 to 16.
 
     Returns
     -------
-    array of uint16, (..., n)
+    ndarray of uint16, shape (..., n)
+        The codes.
     """
     groups = packed.reshape(-1, code_bits).T.astype(np.uint32)
     out = np.empty((groups.shape[1], 8), np.uint16)

@@ -129,7 +129,18 @@ class PacketParser:
         return len(self._buffer)
 
     def feed(self, data: bytes | bytearray | memoryview, /) -> list[Packet]:
-        """Take the next bytes of the stream; return the packets that they complete."""
+        """Take the next bytes of the stream.
+
+        Parameters
+        ----------
+        data : bytes-like
+            Next bytes.
+
+        Returns
+        -------
+        list of Packet
+            The packets that they complete.
+        """
         self._buffer += data
         packets: list[Packet] = []
         while len(self._buffer) >= self._needed and self._step(packets):
@@ -141,7 +152,13 @@ class PacketParser:
         return packets
 
     def finish(self) -> list[Packet]:
-        """Say that the stream has ended; return packets found inside one that was cut short."""
+        """Parse what is left when the stream has ended.
+
+        Returns
+        -------
+        list of Packet
+            Packets found inside one that was cut short.
+        """
         packets: list[Packet] = []
         while self._at < len(self._buffer):
             while self._step(packets):

@@ -1,6 +1,6 @@
 """The register file in software: answers control messages exactly as the gateware must.
 
-It is the oracle of the gateware's register file and the front of every simulated board.
+It is the reference for the gateware's register file, and answers for every simulated board.
 """
 
 from collections.abc import Callable
@@ -67,13 +67,36 @@ class RegisterFile:
         self.set("map", value=registers.fingerprint)
 
     def get(self, name: str, /, *indices: int) -> int:
-        """Return the whole value of a register."""
+        """Return the whole value of a register.
+
+        Parameters
+        ----------
+        name : str
+            Name of the register.
+        *indices : int
+            Element of an array.
+
+        Returns
+        -------
+        int
+            The value.
+        """
         if (name, indices) not in self._values:
             self.registers[name].address_of(*indices)  # says what is wrong
         return self._values[name, indices]
 
     def set(self, name: str, /, *indices: int, **fields: int) -> None:
-        """Set fields of a register from the hardware's side; the others keep their value."""
+        """Set fields of a register from the hardware's side; the others keep their value.
+
+        Parameters
+        ----------
+        name : str
+            Name of the register.
+        *indices : int
+            Element of an array.
+        **fields : int
+            New values by the name of the field.
+        """
         register = self.registers[name]
         fields = register.decode(self.get(name, *indices)) | fields
         self._values[name, indices] = register.encode(**fields)
@@ -108,7 +131,18 @@ class RegisterFile:
         self.set(value.NAME, *indices, **value.as_dict())
 
     def handle(self, message: bytes, /) -> bytes | None:
-        """Return the answer to a message, or None for one that is dropped and counted."""
+        """Answer a control message.
+
+        Parameters
+        ----------
+        message : bytes
+            A control message.
+
+        Returns
+        -------
+        bytes or None
+            The answer; None for a message that is dropped and counted.
+        """
         try:
             request = decode_request(message)
         except MessageError as error:
@@ -119,11 +153,28 @@ class RegisterFile:
         return encode_response(response)
 
     def count_error(self, field: str, /) -> None:
-        """Count a dropped message: ``"crc"``, or ``"framing"`` for lengths and COBS."""
+        """Count a message that was dropped.
+
+        Parameters
+        ----------
+        field : str
+            ``"crc"``, or ``"framing"`` for lengths and COBS.
+        """
         self._count("request_errors", field)
 
     def answer(self, request: Request, /) -> Response:
-        """Return the answer to a well-formed request, having done what it asks."""
+        """Do what a well-formed request asks.
+
+        Parameters
+        ----------
+        request : Request
+            The request.
+
+        Returns
+        -------
+        Response
+            The answer.
+        """
         address, count = request.address, request.count
         if request.op == Op.IDENTIFY:
             address, count = IDENTITY_ADDRESS, IDENTITY_WORDS

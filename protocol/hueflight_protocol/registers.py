@@ -81,7 +81,13 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Reserved:
-    """Bits without a meaning: read as 0, ignored in a write."""
+    """Bits without a meaning: read as 0, ignored in a write.
+
+    Parameters
+    ----------
+    width : int
+        Number of bits.
+    """
 
     width: int
 
@@ -167,6 +173,16 @@ class Register:
     def address_of(self, *indices: int) -> int:
         """Return the word address of an element's first word.
 
+        Parameters
+        ----------
+        *indices : int
+            Element of an array; none for a single register.
+
+        Returns
+        -------
+        int
+            The address.
+
         Raises
         ------
         RegisterError
@@ -182,11 +198,27 @@ class Register:
         return self.address + sum(i * s for i, s in zip(indices, self.strides, strict=True))
 
     def elements(self) -> Iterator[tuple[int, ...]]:
-        """Yield the indices of every element; one empty tuple for a single register."""
+        """Return the indices of every element.
+
+        Returns
+        -------
+        iterator of tuple of int
+            Indices; one empty tuple for a single register.
+        """
         return product(*(range(count) for count in self.count))
 
     def encode(self, **values: int) -> int:
         """Return the register's value; fields not given take their reset value.
+
+        Parameters
+        ----------
+        **values : int
+            Values by the name of the field.
+
+        Returns
+        -------
+        int
+            The value.
 
         Raises
         ------
@@ -209,7 +241,18 @@ class Register:
         return word
 
     def decode(self, value: int, /) -> dict[str, int]:
-        """Return the fields of a value; named choices come as their enumeration."""
+        """Take a value apart.
+
+        Parameters
+        ----------
+        value : int
+            Value of the register.
+
+        Returns
+        -------
+        dict of str to int
+            Fields by name; named choices as members of their enumeration.
+        """
         out: dict[str, int] = {}
         for name, place in self.fields.items():
             part = place.field
@@ -229,7 +272,17 @@ def value(width: int, doc: str, *, reset: int = 0, unit: str = "") -> tuple[Fiel
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """What stands at one word address: a register, which element, which of its words."""
+    """What stands at one word address.
+
+    Parameters
+    ----------
+    register : Register
+        The register.
+    indices : tuple of int
+        Element of an array.
+    word : int
+        Which of the register's words.
+    """
 
     register: Register
     indices: tuple[int, ...]
@@ -293,7 +346,18 @@ class RegisterMap:
         return address in self._by_address
 
     def at(self, address: int, /) -> Place:
-        """Return what stands at a word address."""
+        """Return what stands at a word address.
+
+        Parameters
+        ----------
+        address : int
+            Word address.
+
+        Returns
+        -------
+        Place
+            Register, element and word.
+        """
         try:
             return self._by_address[address]
         except KeyError:

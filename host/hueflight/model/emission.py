@@ -22,8 +22,10 @@ class Emission:
 
     Attributes
     ----------
-    wavelengths_nm : (wavelength,), rising.
-    power : (band, wavelength), in the order of the instrument's bands.
+    wavelengths_nm : ndarray of float, shape (wavelength,)
+        Rising wavelengths, nm.
+    power : ndarray of float, shape (band, wavelength)
+        Emitted power in the order of the instrument's bands.
     """
 
     wavelengths_nm: NDArray[np.float64]

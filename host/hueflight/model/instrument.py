@@ -81,17 +81,31 @@ class Sensor(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Attributes
     ----------
-    rows, cols : number of pixels.
-    code_bits : width of a code; a histogram has ``2**code_bits`` codes.
-    bin_width_ns : nominal width of one code.
-    direction : ``"reverse"`` where later photons have smaller codes (the photon starts the
-        converter, a clock stops it), else ``"forward"``.
-    code_zero : ``"no photon"`` where code 0 reports an empty exposure, else ``"bin"``.
-    frame_rate_hz, exposure_ms : readouts per second; time open per frame.
-    pixel_width_um, pixel_height_um : pitch along a row and along a column.
-    scan_steps : positions of a scanned sensor; an image has ``rows * scan_steps`` rows.
-    dark_count_hz : typical dark counts per second and pixel.
-    detection_wavelength_nm, detection_probability : photon detection probability, tabulated.
+    rows, cols : int
+        Number of pixels.
+    code_bits : int
+        Width of a code; a histogram has ``2**code_bits`` codes.
+    bin_width_ns : float
+        Nominal width of one code, ns.
+    direction : {"forward", "reverse"}
+        ``"reverse"`` where later photons have smaller codes: the photon starts the converter and a
+        clock stops it.
+    code_zero : {"no photon", "bin"}
+        ``"no photon"`` where code 0 reports an exposure without a photon.
+    frame_rate_hz : float or None
+        Readouts per second.
+    exposure_ms : float or None
+        Exposure time of a frame, ms.
+    pixel_width_um, pixel_height_um : float or None
+        Pitch of the pixels along a row and along a column, µm.
+    scan_steps : int
+        Positions of a scanned sensor; an image has ``rows * scan_steps`` rows.
+    dark_count_hz : float
+        Typical dark counts per second and pixel.
+    detection_wavelength_nm : tuple of float
+        Wavelengths of the table of detection probabilities, rising, nm.
+    detection_probability : tuple of float
+        Photon detection probability at these wavelengths.
     """
 
     rows: int
@@ -153,9 +167,12 @@ class Timing(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Attributes
     ----------
-    period_ns : one LED train; absent for a sensor whose codes cover one shot, not a circle.
-    pulse_width_ns : electrical width of each LED's drive.
-    latency_ns : when a pulse of delay 0 would arrive from distance 0, within the period.
+    period_ns : float or None
+        Duration of one LED train, ns; None for a sensor whose codes cover a single shot.
+    pulse_width_ns : float
+        Electrical width of each LED's drive pulse, ns.
+    latency_ns : float
+        Arrival time within the period of a pulse of delay 0 from distance 0, ns.
     """
 
     period_ns: float | None = None
@@ -175,12 +192,20 @@ class Band(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Attributes
     ----------
-    name : shown to people.
-    wavelength_nm : peak of the emission; emission_fwhm_nm : its full width at half maximum.
-    delay_ns : when it fires in the period; several values for a coded train.
-    pulse_fwhm_ns : width of the optical pulse at half maximum, tail included.
-    pulse_tail_ns : decay constant of its trailing edge; 0 for a Gaussian.
-    power_mw : average optical power while the train runs.
+    name : str
+        Name of the band.
+    wavelength_nm : float
+        Peak wavelength of the emission, nm.
+    delay_ns : float or tuple of float
+        When the LED fires in the period, ns; several values for a coded train.
+    pulse_fwhm_ns : float
+        Full width at half maximum of the optical pulse, tail included, ns.
+    pulse_tail_ns : float
+        Decay constant of the trailing edge, ns; 0 for a Gaussian pulse.
+    emission_fwhm_nm : float
+        Full width at half maximum of the emission spectrum, nm.
+    power_mw : float
+        Average optical power while the train runs, mW.
     """
 
     name: str
@@ -212,8 +237,12 @@ class Lens(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     Attributes
     ----------
-    focal_length_mm : of the lens; f_number : aperture ratio.
-    transmission : share of light that it passes.
+    focal_length_mm : float
+        Focal length, mm.
+    f_number : float
+        Focal length over aperture diameter.
+    transmission : float
+        Fraction of the light that the lens transmits.
     """
 
     focal_length_mm: float
@@ -447,7 +476,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         if self.lens is None:
             return np.zeros((rows, cols)), np.zeros((rows, cols))
         width_um, height_um = self.sensor.pixel_width_um, self.sensor.pixel_height_um
-        assert width_um is not None  # __post_init__ has seen to it
+        assert width_um is not None  # checked in __post_init__
         assert height_um is not None
         to_slope = np.float64(1e-3 / self.lens.focal_length_mm)
         right = (np.arange(cols) - (cols - 1) / 2) * width_um * to_slope

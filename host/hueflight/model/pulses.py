@@ -29,10 +29,14 @@ class Pulse:
 
     Attributes
     ----------
-    center_ns : centre of its Gaussian part (with a tail, the mean lies `tail_ns` later).
-    sigma_ns : standard deviation of the Gaussian part.
-    tail_ns : decay constant of the exponential part, 0 for none.
-    area : photons in it.
+    center_ns : float
+        Centre of the Gaussian part, ns; the mean lies `tail_ns` later.
+    sigma_ns : float
+        Standard deviation of the Gaussian part, ns.
+    tail_ns : float
+        Decay constant of the exponential part, ns; 0 for none.
+    area : float
+        Number of photons in the pulse.
     """
 
     center_ns: float

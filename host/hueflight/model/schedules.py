@@ -32,8 +32,10 @@ class Schedule:
 
     Attributes
     ----------
-    delays_ns : for each band when it fires, one or several times.
-    period_ns : after which all repeats.
+    delays_ns : tuple of tuple of float
+        Firing times of each band within the period, ns.
+    period_ns : float
+        Period after which the schedule repeats, ns.
     """
 
     delays_ns: tuple[tuple[float, ...], ...]

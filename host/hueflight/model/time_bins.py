@@ -20,9 +20,12 @@ class TimeBins:
 
     Attributes
     ----------
-    codes : int array (bin,): the raw code of each bin, in order of arrival time.
-    edges_ns : float array (bin + 1,): rising; from 0 to the period where there is one.
-    period_ns : circumference of the circle, or None for a single shot.
+    codes : ndarray of int, shape (bin,)
+        Raw code of each bin, in order of arrival time.
+    edges_ns : ndarray of float, shape (bin + 1,)
+        Rising edges of the bins, from 0 to the period where there is one, ns.
+    period_ns : float or None
+        Period of the pulse train, ns; None for a single shot.
     """
 
     codes: NDArray[np.intp]

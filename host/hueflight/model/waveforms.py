@@ -25,8 +25,10 @@ class Templates:
 
     Attributes
     ----------
-    coefficients : (band, knot) of the cubic B-splines, photons per ns.
-    circle_ns : circumference; a single shot lies on a circle too long for it to wrap.
+    coefficients : ndarray of float, shape (band, knot)
+        Coefficients of the cubic B-splines, photons per ns.
+    circle_ns : float
+        Period of the waveforms, ns; for a single shot, one too long for the waveform to wrap.
     """
 
     coefficients: NDArray[np.float64]
@@ -170,7 +172,7 @@ def fit_waveform(
         weighted = matrix.multiply(weight[:, None]).tocsr()
         normal += (weighted.T @ matrix).toarray()
         right += weighted.T @ signal[group]
-    # a whisper of smoothness: knots that no bin tells apart must not ring
+    # a small smoothness penalty: knots that no bin resolves must not oscillate
     ridge = 1e-9 * np.trace(normal) / max(chosen.size, 1)
     bend = np.diff(np.eye(chosen.size), n=2, axis=0) if chosen.size > 2 else np.eye(chosen.size)
     solution = np.linalg.solve(normal + ridge * (bend.T @ bend) + 1e-12 * ridge, right)

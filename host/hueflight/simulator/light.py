@@ -22,13 +22,20 @@ class Rates:
 
     Attributes
     ----------
-    instrument : whose bands and pulses they are.
-    photons : (band, row, col), detectable LED photons per period.
-    delay_ns : (row, col), time of flight and pixel delay together.
-    background : (row, col), detectable background photons per period, flat in time.
-    periods : periods in one exposure.
-    bins : the converter's bins.
-    pile_up : see `SimulationSettings`.
+    instrument : Instrument
+        Instrument whose bands and pulses the photons belong to.
+    photons : ndarray of float, shape (band, row, col)
+        Detectable LED photons per period.
+    delay_ns : ndarray of float, shape (row, col)
+        Sum of the time of flight and the delay of the pixel, ns.
+    background : ndarray of float, shape (row, col)
+        Detectable background photons per period, constant in time.
+    periods : int
+        Number of periods in one exposure.
+    bins : TimeBins
+        Bins of the simulated converter.
+    pile_up : bool
+        Whether an early photon hides later ones of its period.
     """
 
     instrument: Instrument

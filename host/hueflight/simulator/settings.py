@@ -109,9 +109,12 @@ class Pixels:
 
     Attributes
     ----------
-    delay_ns : how much later than nominal a pixel's photons seem to come.
-    dark_rate_hz : avalanches per second without light.
-    hot, dead : masks of defects.
+    delay_ns : ndarray of float, shape (row, col)
+        Delay of each pixel beyond the nominal one, ns.
+    dark_rate_hz : ndarray of float, shape (row, col)
+        Avalanches per second without light.
+    hot, dead : ndarray of bool, shape (row, col)
+        Pixels that fire all the time, and pixels that never fire.
     """
 
     delay_ns: NDArray[np.float64]

@@ -32,7 +32,15 @@ CAPTURES: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class Exposure:
-    """What one histogram of a capture is taken of."""
+    """Scene and settings of one histogram of a capture.
+
+    Attributes
+    ----------
+    scene : Scene
+        What the instrument looks at.
+    settings : SimulationSettings
+        Light level, imperfections and the LEDs that fire.
+    """
 
     scene: Scene
     settings: SimulationSettings

@@ -33,11 +33,13 @@ class Layer:
 
     Attributes
     ----------
-    depth_m : distance from the camera along its axis.
-    paint : from metres right and down of the axis to the index of the surface there, `NOTHING`
-        where the layer has none.
-    relief : from the same metres to how far the surface stands out of the layer towards the
-        camera, m; for rounded objects.
+    depth_m : float
+        Distance from the camera along its axis, m.
+    paint : callable
+        Maps positions right and down of the axis, m, to the index of the surface there;
+        `NOTHING` where the layer has none.
+    relief : callable or None
+        Maps the same positions to the height of a rounded object above the layer, m.
     """
 
     depth_m: float
@@ -51,12 +53,18 @@ class Truth:
 
     Attributes
     ----------
-    depth : (row, col), m along the optical axis; NaN where there is nothing.
-    reflectance : (band, row, col), relative to a white surface, mean over the band's light.
-    shading : (row, col), brightness by the surface's tilt: 1 for what faces the camera.
-    lit : (row, col), whether every LED reaches the point; elsewhere there is a shadow.
-    regions : name → mask (row, col) of the lit part of an object.
-    wavelengths_nm : (band,).
+    depth : ndarray of float, shape (row, col)
+        Depth along the optical axis, m; NaN where there is nothing.
+    reflectance : ndarray of float, shape (band, row, col)
+        Reflectance relative to a white surface, averaged over the band's light.
+    shading : ndarray of float, shape (row, col)
+        Brightness due to the tilt of the surface; 1 where it faces the camera.
+    lit : ndarray of bool, shape (row, col)
+        Whether every LED reaches the point; elsewhere there is a shadow.
+    regions : mapping of str to ndarray of bool, shape (row, col)
+        Mask of the lit part of each object.
+    wavelengths_nm : ndarray of float, shape (band,)
+        Peak wavelength of each band, nm.
     """
 
     depth: NDArray[np.float64]
@@ -73,15 +81,24 @@ class Scene:
 
     Attributes
     ----------
-    name : of the scene.
-    depth : (row, col), m along the optical axis; NaN where a ray meets nothing.
-    incidence : (row, col), cosine between the surface's normal and the way to the camera.
-    surface : (row, col), index into `surfaces`, `NOTHING` (−1) where there is none.
-    surfaces : names.
-    spectra : (surface, wavelength) reflectance on `spectra.WAVELENGTH_NM`.
-    light : (band, row, col), share of each LED's direct light that arrives; small in a shadow.
-    glare : (row, col), mirror-like reflection on top of the reflectance, the same in all bands.
-    regions : name → mask (row, col).
+    name : str
+        Name of the scene.
+    depth : ndarray of float, shape (row, col)
+        Depth along the optical axis, m; NaN where a ray meets nothing.
+    incidence : ndarray of float, shape (row, col)
+        Cosine of the angle between the surface's normal and the direction to the camera.
+    surface : ndarray of int, shape (row, col)
+        Index into `surfaces`; `NOTHING` (−1) where there is none.
+    surfaces : tuple of str
+        Names of the surfaces.
+    spectra : ndarray of float, shape (surface, wavelength)
+        Reflectance at `spectra.WAVELENGTH_NM`.
+    light : ndarray of float, shape (band, row, col)
+        Fraction of each LED's direct light that arrives; small in a shadow.
+    glare : ndarray of float, shape (row, col)
+        Specular reflection added to the reflectance, the same in all bands.
+    regions : mapping of str to ndarray of bool, shape (row, col)
+        Mask of each object.
     """
 
     name: str

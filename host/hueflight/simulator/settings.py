@@ -20,24 +20,34 @@ class SimulationSettings:
 
     Attributes
     ----------
-    white_detections : the one scale of the light budget: LED photons that a pixel on the axis
-        would detect per exposure, were it not for its dead time, from a white plane at 1 m with
-        all LEDs on. Everything else follows from the instrument (power, spectra, optics) and the
-        scene (distance, angle, reflectance). See `light.radiometric_detections` for what the
-        bare numbers of the instrument would give with an open iris.
-    drive : strength of the LEDs, one number or one per band; 0 is off.
-    ambient : steady light on the scene, relative to the LEDs' mean light on a plane at 1 m.
-    dark_counts : factor on the sensor's typical dark count rate, 0 for none.
-    dark_spread : standard deviation of the logarithm of a pixel's dark count rate.
-    hot_share : share of pixels that fire all the time.
-    dead_share : share of pixels that never fire.
-    delay_skew_ns : how much later the last column's clock runs than the first one's.
-    delay_spread_ns : standard deviation of a pixel's own delay on top.
-    dnl_lsb : standard deviation of a code's width, in nominal widths (differential nonlinearity).
-    inl_lsb : largest slow deviation of a code's edge, in nominal widths (integral nonlinearity).
-    pile_up : whether an early photon hides later ones of the same period; without it, codes
-        follow the light exactly. One photon per exposure is kept either way.
-    seed : draws the imperfections: one seed, one instrument.
+    white_detections : float
+        The scale of the light budget: LED photons that a pixel on the axis would detect per
+        exposure without dead time, from a white plane at 1 m with all LEDs on. Everything else
+        follows from the instrument (power, spectra, optics) and the scene (distance, angle,
+        reflectance). `light.radiometric_detections` computes the value for an open iris.
+    drive : float or tuple of float
+        Strength of the LEDs, one number or one per band; 0 is off.
+    ambient : float
+        Steady light on the scene, relative to the LEDs' mean light on a plane at 1 m.
+    dark_counts : float
+        Factor on the sensor's typical dark count rate; 0 for none.
+    dark_spread : float
+        Standard deviation of the logarithm of a pixel's dark count rate.
+    hot_share, dead_share : float
+        Fractions of pixels that fire all the time and that never fire.
+    delay_skew_ns : float
+        Delay of the last column's clock relative to the first column's, ns.
+    delay_spread_ns : float
+        Standard deviation of the additional delay of each pixel, ns.
+    dnl_lsb : float
+        Standard deviation of a code's width, in nominal widths (differential nonlinearity).
+    inl_lsb : float
+        Largest slow deviation of a code's edge, in nominal widths (integral nonlinearity).
+    pile_up : bool
+        Whether an early photon hides later ones of the same period. One photon per exposure is
+        kept either way.
+    seed : int
+        Seed of the imperfections: equal seeds give equal instruments.
     """
 
     white_detections: float = 0.35

@@ -15,7 +15,7 @@ import ast
 import enum
 import importlib
 import inspect
-import pydoc
+import operator
 import re
 import sys
 from collections.abc import Iterator
@@ -95,7 +95,8 @@ def findings(path: Path, public: frozenset[str]) -> Iterator[str]:
     module = module_name(path)
     for name in defined_names(path):
         full = f"{module}.{name}"
-        thing: Any = pydoc.locate(full)
+        # not by the full name: a package may export a function under the name of a module
+        thing: Any = operator.attrgetter(name)(importlib.import_module(module))
         is_public = full in public or full.rpartition(".")[0] in public
         result = validate(full)
         faults = [(code, message) for code, message in result["errors"]]

@@ -1,4 +1,7 @@
-"""The instrument, simulated: scenes, light budget, exact code probabilities, two samplers.
+"""Simulated instrument: scenes with a known truth, and captures of them with photon noise.
+
+The probability of every code is computed exactly from the light budget, and codes, packets or
+histograms are drawn from it. `docs/simulator.md` describes the model.
 
 >>> import hueflight as hf
 >>> paper = hf.Instrument.load("paper")

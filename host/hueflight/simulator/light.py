@@ -1,4 +1,4 @@
-"""How many photons a pixel detects: the light budget from LED to code."""
+"""Light budget: how many photons each pixel is expected to detect per period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hueflight.simulator.settings import SimulationSettings, pixels, time_bins
 
 @dataclass(frozen=True)
 class Rates:
-    """Expected photons of every pixel, all that p(code) depends on.
+    """Expected photons of every pixel: all that the probabilities of codes depend on.
 
     Attributes
     ----------
@@ -48,11 +48,22 @@ class Rates:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(row, col)."""
+        """Number of rows and columns."""
         return self.delay_ns.shape[0], self.delay_ns.shape[1]
 
     def rows(self, rows: slice) -> Rates:
-        """The same for some rows."""
+        """Select rows of the image.
+
+        Parameters
+        ----------
+        rows : slice
+            Rows to keep.
+
+        Returns
+        -------
+        Rates
+            Rates of these rows alone.
+        """
         return Rates(
             instrument=self.instrument,
             photons=self.photons[:, rows],
@@ -64,16 +75,28 @@ class Rates:
         )
 
     def detections(self) -> NDArray[np.float64]:
-        """Expected photons per exposure, were all counted; (row, col)."""
+        """Expected number of photons per exposure if every one of them were counted.
+
+        Returns
+        -------
+        ndarray of float, shape (row, col)
+            Detectable photons per exposure, of the LEDs and of the background together.
+        """
         return self.periods * (self.photons.sum(axis=0) + self.background)
 
     def occupancy(self) -> NDArray[np.float64]:
-        """Probability that an exposure has a photon, (row, col)."""
+        """Probability that an exposure contains at least one photon.
+
+        Returns
+        -------
+        ndarray of float, shape (row, col)
+            Fraction of exposures that are not empty, 0 to 1.
+        """
         return -np.expm1(-self.detections())
 
 
 def periods_per_exposure(instrument: Instrument) -> int:
-    """Whole periods in one exposure; 1 where the sensor codes one shot."""
+    """Whole periods in one exposure; 1 for an instrument without a period or exposure time."""
     period_ns, exposure_ms = instrument.timing.period_ns, instrument.sensor.exposure_ms
     if period_ns is None or exposure_ms is None:
         return 1
@@ -81,35 +104,57 @@ def periods_per_exposure(instrument: Instrument) -> int:
 
 
 def white_photons(instrument: Instrument, settings: SimulationSettings) -> NDArray[np.float64]:
-    """LED photons per period that a pixel on the axis detects of a white plane at 1 m, (band,)."""
+    """LED photons per period that a pixel on the axis detects from a white plane at 1 m.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose power, spectra and detector divide the light among the bands.
+    settings : SimulationSettings
+        Settings whose `white_detections` fixes the sum over all bands.
+
+    Returns
+    -------
+    ndarray of float, shape (band,)
+        Detectable photons per period of each LED at full strength.
+    """
     shares = _power_w(instrument) * mean_detection(instrument)
     per_exposure = settings.white_detections * shares / shares.sum()
     return per_exposure / periods_per_exposure(instrument)
 
 
 def radiometric_detections(instrument: Instrument, *, fill_factor: float = 0.13) -> float:
-    """What `SimulationSettings.white_detections` would be with every LED photon accounted for.
+    """Compute `SimulationSettings.white_detections` from the instrument's power and optics.
 
-    A Lambertian LED of power P on the axis makes the irradiance P/(π z²) on a plane, which a
-    Lambertian white surface sends back as the radiance P/(π² z²); a pixel of area A behind a
-    lens of f-number N receives π A/(4 N²) of that. For preset `paper` this is about 12 per
-    exposure: the default 0.35 is the same set-up with its iris closed from f/1.4 to f/8.
+    A Lambertian LED of power P on the axis produces the irradiance P/(π z²) on a plane at the
+    distance z. A Lambertian white surface reflects it with the radiance P/(π² z²), and a pixel of
+    area A behind a lens of f-number N receives π A/(4 N²) times that radiance. For preset `paper`
+    the result is about 12 per exposure: the default 0.35 corresponds to the same set-up with its
+    iris closed from f/1.4 to f/8.
 
     Parameters
     ----------
-    fill_factor : light-sensitive share of a pixel's area (0.13: Henderson et al., JSSC 2019).
+    instrument : Instrument
+        Instrument with a lens, a pixel pitch and an exposure time.
+    fill_factor : float
+        Light-sensitive fraction of a pixel's area (0.13: Henderson et al., JSSC 2019).
+
+    Returns
+    -------
+    float
+        LED photons that a pixel on the axis detects per exposure from a white plane at 1 m.
 
     Raises
     ------
     InstrumentError
-        If the instrument has no lens, pixel pitch, exposure or period to compute with.
+        If the instrument has no lens, no pixel pitch or no exposure time.
     """
     sensor, lens = instrument.sensor, instrument.lens
     width_um, height_um = sensor.pixel_width_um, sensor.pixel_height_um
     if lens is None or width_um is None or height_um is None or sensor.exposure_ms is None:
         raise InstrumentError(
             f"instrument {instrument.name!r}: a radiometric estimate needs a lens, the pixel "
-            "pitch and the exposure time"
+            "pitch and the exposure time; add those that its description leaves out"
         )
     detected_per_s = float(_power_w(instrument) @ mean_detection(instrument))
     area_m2 = width_um * height_um * 1e-12 * fill_factor
@@ -120,17 +165,27 @@ def radiometric_detections(instrument: Instrument, *, fill_factor: float = 0.13)
 def expected_rates(
     scene: Scene, instrument: Instrument, settings: SimulationSettings | None = None
 ) -> Rates:
-    """Photons per period of every pixel that looks at a scene.
+    """Compute the expected photons per period of every pixel that looks at a scene.
 
-    The illuminator counts as sitting in the lens for distance and angle (its real place only
-    throws shadows): light falls with the square of the range along the ray, with the cosine of
-    incidence and with the LED's own cosine (Lambertian, no optics); the image falls with the
-    fourth power of the field angle's cosine. Photons come back after ``2 · range / c``.
+    Distances and angles are computed as if the LEDs were at the position of the lens; their
+    actual positions affect shadows only. The light of an LED is proportional to the inverse
+    square of the range along the ray, to the cosine of incidence and to the cosine of the LED's
+    own angle (Lambertian, no optics). The image darkens with the fourth power of the cosine of
+    the field angle. Photons return after ``2 · range / c``.
 
     Parameters
     ----------
-    scene : laid out for the same instrument.
-    settings : light level and imperfections; the defaults if left out.
+    scene : Scene
+        Scene laid out for the same instrument.
+    instrument : Instrument
+        Instrument that looks at the scene.
+    settings : SimulationSettings or None
+        Light level and imperfections; None for the defaults.
+
+    Returns
+    -------
+    Rates
+        Expected photons, delays and background of every pixel.
 
     Raises
     ------
@@ -167,13 +222,18 @@ def expected_rates(
 
 
 def _power_w(instrument: Instrument) -> NDArray[np.float64]:
+    """Optical power of each band, W, shape (band,)."""
     return 1e-3 * np.array([band.power_mw for band in instrument.bands])
 
 
 def _ambient_weights(instrument: Instrument) -> NDArray[np.float64]:
-    """Detected spectrum of room light: white LED-like, flat in photons from 420 to 680 nm."""
+    """Detected spectrum of ambient light, normalized to sum 1, shape (wavelength,).
+
+    Ambient light resembles that of white LEDs: the same number of photons at every wavelength from
+    420 to 680 nm.
+    """
     room = ((WAVELENGTH_NM >= 420) & (WAVELENGTH_NM <= 680)).astype(np.float64)
     weights = room * detection(instrument)
-    if weights.sum() == 0:  # a detector for another range sees steady light of its own bands
+    if weights.sum() == 0:  # a detector for another range: take a flat spectrum over that range
         weights = detection(instrument)
     return weights / weights.sum()

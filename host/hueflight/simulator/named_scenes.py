@@ -1,4 +1,4 @@
-"""Scenes by name."""
+"""The scenes that can be chosen by name, and their layout for an instrument."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:
 
     Parameters
     ----------
-    distance : m.
-    surface : name of a surface, or a grey reflectance from 0 to 1.
+    distance : float
+        Distance of the wall along the optical axis, m.
+    surface : str or float
+        Name of a surface, or the reflectance of a grey one, 0 to 1.
     """
     palette = SurfaceTable()
     name = surface if isinstance(surface, str) else f"grey {surface:g}"
@@ -37,11 +39,12 @@ def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:
 
 
 def color_checker(*, distance: float = 1.0) -> Layout:
-    """The 24 patches of a ColorChecker, 28 × 19 cm, on a grey wall 2 cm behind it.
+    """A ColorChecker of 24 patches, 28 × 19 cm, in front of a grey wall 2 cm behind it.
 
     Parameters
     ----------
-    distance : m.
+    distance : float
+        Distance of the chart along the optical axis, m.
     """
     patch, pitch, rim = 0.040, 0.0455, 0.004
     palette = SurfaceTable()
@@ -69,17 +72,24 @@ def color_checker(*, distance: float = 1.0) -> Layout:
 
 
 def staircase(*, near: float = 0.6, far: float = 1.3, steps: int = 8) -> Layout:
-    """Upright strips, each further away than the one to its left.
+    """Vertical strips, each further away than the one to its left.
 
     Parameters
     ----------
-    near, far : distance of the first and the last strip, m.
-    steps : number of strips over the 294 mrad that preset `paper` sees.
+    near, far : float
+        Distances of the first and of the last strip, m.
+    steps : int
+        Number of strips, divided evenly over the 294 mrad that preset `paper` sees.
+
+    Raises
+    ------
+    SceneError
+        If there is not at least one strip, or `far` is not beyond `near`.
     """
     if steps < 1:
         raise SceneError(f"staircase: steps = {steps}: must be at least 1")
     if far <= near:
-        raise SceneError(f"staircase: far = {far} must lie beyond near = {near}")
+        raise SceneError(f"staircase: far = {far}: must be greater than near = {near}")
     palette = SurfaceTable()
     ends = np.linspace(-0.147, 0.147, steps + 1)
     ends[0], ends[-1] = -np.inf, np.inf
@@ -95,24 +105,33 @@ def staircase(*, near: float = 0.6, far: float = 1.3, steps: int = 8) -> Layout:
 
 
 def _strip(index: int, left: float, right: float) -> Callable[[Array, Array], NDArray[np.intp]]:
+    """Paint of a vertical strip from `left` to `right`, m."""
     return lambda x, _y: np.where((x >= left) & (x < right), index, NOTHING)
 
 
 def empty() -> Layout:
-    """Nothing within reach: no light comes back."""
+    """Nothing within range: no light returns."""
     return Layout((), SurfaceTable(), {})
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A scene that can be asked for by name."""
+    """A scene that can be chosen by name.
+
+    Attributes
+    ----------
+    build : callable
+        Function that lays out the scene; its keyword arguments are the options of the scene.
+    description : str
+        What the scene contains, in a few words.
+    """
 
     build: Callable[..., Layout]
     description: str
 
     @property
     def options(self) -> dict[str, Any]:
-        """Options and their defaults."""
+        """Options of the scene and their defaults."""
         parameters = inspect.signature(self.build).parameters.values()
         return {parameter.name: parameter.default for parameter in parameters}
 
@@ -121,16 +140,22 @@ SCENES: dict[str, Entry] = {
     "fig1": Entry(
         shelf_scene, "the paper's Fig. 1: board with logos, brick wall, horse on a shelf"
     ),
-    "fig7": Entry(wall_scene, "the paper's Fig. 7: brick wall with a window 20 cm before a board"),
+    "fig7": Entry(wall_scene, "the paper's Fig. 7: brick wall with a window in front of a board"),
     "colorchecker": Entry(color_checker, "24 patches of known colour on a grey wall"),
     "plane": Entry(plane, "a wall of one surface at one distance"),
-    "staircase": Entry(staircase, "strips at rising distance"),
-    "empty": Entry(empty, "nothing at all: dark counts only"),
+    "staircase": Entry(staircase, "vertical strips at increasing distance"),
+    "empty": Entry(empty, "nothing: dark counts only"),
 }
 
 
 def scenes() -> dict[str, str]:
-    """Names of the scenes and one line on each."""
+    """List the scenes.
+
+    Returns
+    -------
+    dict of str to str
+        Name and description of each scene.
+    """
     return {name: entry.description for name, entry in SCENES.items()}
 
 
@@ -143,23 +168,36 @@ def scene(
     indirect: float = 0.03,
     **options: Any,
 ) -> Scene:
-    """A scene by name, as an instrument sees it.
+    """Lay out a named scene for an instrument.
 
     Parameters
     ----------
-    name : one of `scenes()`.
-    instrument : whose geometry and bands to lay it out for.
-    illuminator_m : where the middle of the LED ring sits, metres right and down of the lens as
-        the picture shows it. The paper's shadows lie to the left of what throws them (its Fig. 6),
-        which puts the LEDs to the right of the picture.
-    ring_m : diameter of the ring (paper: 1 cm); LEDs follow each other clockwise from its right.
-    indirect : share of light that reaches a shadow by way of other surfaces.
-    options : of the scene itself, see its builder in `SCENES`.
+    name : str
+        Name of the scene, one of `scenes()`.
+    instrument : Instrument
+        Instrument that looks at the scene; its geometry and bands determine the result.
+    illuminator_m : tuple of float
+        Center of the LED ring, metres right and down of the lens as the picture shows it. In
+        the paper, shadows lie to the left of the objects that cast them (its Fig. 6), so the LEDs
+        are to the right of the lens.
+    ring_m : float
+        Diameter of the LED ring, m (paper: 1 cm). The LEDs are numbered clockwise, starting at
+        the right.
+    indirect : float
+        Fraction of the light that reaches a shadow by way of other surfaces, 0 to 1.
+    **options : float, int or str
+        Options of the scene: the keyword arguments of its `SCENES` entry's `build`.
+
+    Returns
+    -------
+    Scene
+        Depth, surfaces and illumination of every pixel.
 
     Raises
     ------
     SceneError
-        If there is no such scene or option, or a distance is not positive.
+        If there is no such scene or option, `indirect` is not in 0 to 1, or a distance is not
+        positive.
     """
     if name not in SCENES:
         raise SceneError(f"no scene {name!r}: there are {', '.join(SCENES)}")
@@ -168,13 +206,13 @@ def scene(
         known = ", ".join(entry.options) or "none"
         raise SceneError(f"scene {name!r} has no option {min(unknown)!r}; it has: {known}")
     if not 0 <= indirect <= 1:
-        raise SceneError(f"indirect = {indirect!r}: must lie in 0..1")
+        raise SceneError(f"indirect = {indirect!r}: must be from 0 to 1")
     layout = entry.build(**options)
     for layer in layout.layers:
         if not (isfinite(layer.depth_m) and layer.depth_m > 0):
             raise SceneError(
-                f"scene {name!r} with {options}: something lies at {layer.depth_m:g} m; "
-                "everything must lie in front of the camera"
+                f"scene {name!r} with {options}: an object is at {layer.depth_m:g} m; "
+                "distances must be positive and finite"
             )
     return trace(
         name,

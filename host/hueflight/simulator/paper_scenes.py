@@ -1,8 +1,9 @@
-"""The scenes of the paper: a brick wall with a window and a horse before a board with logos.
+"""The scenes of the paper: a brick wall with a window and a horse in front of a board with logos.
 
-Figs 1, 4, 5, 6 and 7. The paper gives distances and colours, not drawings; sizes are chosen so
-that, seen by preset `paper`, row 139 runs over plain board and row 56 over window, wall and
-horse, with shadows left of the window's edge and left of the horse, as in Fig. 6.
+They appear in the paper's Figs. 1, 4, 5, 6 and 7. The paper gives distances and colours but no
+drawings; sizes are chosen so that, seen by preset `paper`, row 139 contains only plain board and
+row 56 the window, the wall and the horse, with shadows to the left of the window's edge and of the
+horse, as in Fig. 6.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from hueflight.simulator.shapes import Array, Mask, disc, lettering, limb, recta
 _BRICK_WIDTH, _BRICK_HEIGHT, _STUD_PITCH = 0.032, 0.0096, 0.008
 
 _WALL_COLORS = {"R": "red brick", "G": "green brick", "B": "blue brick", "P": "purple brick"}
-# courses from the top, bricks from the right edge; both go round
+# courses from the top, bricks from the right edge; the pattern repeats in both directions
 _WALL_PATTERN = ("RGBP", "RBGR", "RPPG", "RGRB", "RPGP", "RBBG", "RGPR", "RBGP", "RPBG", "RGPB")
 
 _INKS = (
@@ -33,8 +34,11 @@ def shelf_scene(
 
     Parameters
     ----------
-    background, wall, horse : distances, m.
-    glare : mirror-like reflection from the board's print, at its brightest; the paper saw some.
+    background, wall, horse : float
+        Distances of the board, the wall and the horse, m.
+    glare : float
+        Specular reflection from the board's print at its brightest point, as a reflectance; the
+        paper reports some.
     """
     palette = SurfaceTable()
     layers = (
@@ -54,11 +58,12 @@ def shelf_scene(
 
 
 def wall_scene(*, distance: float = 1.0) -> Layout:
-    """Fig. 7: a brick wall with a window 10 cm before a distance, a board 10 cm behind it.
+    """Fig. 7: a brick wall with a window 10 cm in front of a distance, a board 10 cm behind it.
 
     Parameters
     ----------
-    distance : m; 0.5, 1.0 and 1.5 in the paper.
+    distance : float
+        Distance of the middle between wall and board, m (paper: 0.5, 1.0 and 1.5).
     """
     palette = SurfaceTable()
     layers = (
@@ -76,6 +81,7 @@ def wall_scene(*, distance: float = 1.0) -> Layout:
 
 
 def _regions(palette: SurfaceTable) -> dict[str, tuple[str, ...]]:
+    """Surfaces of each named region, as far as the scene contains them."""
     wanted = {
         "red brick": ("red brick",),
         "green brick": ("green brick",),
@@ -94,6 +100,7 @@ def _regions(palette: SurfaceTable) -> dict[str, tuple[str, ...]]:
 
 
 def _board(palette: SurfaceTable, depth_m: float) -> Layer:
+    """White board with lettering, a line of small print, a crest and bars."""
     plain = palette["board"]
     inks = np.array([palette[ink] for ink in _INKS])
     navy, red, green, yellow, cyan = (
@@ -138,7 +145,10 @@ def _wall(
     bottom: float,
     window: tuple[float, float, float, float],
 ) -> Layer:
-    """A wall in running bond that reaches out of the picture to the left."""
+    """Brick wall in running bond that extends beyond the left edge of the picture.
+
+    Positions are metres right and down of the axis; `window` is (left, top, right, bottom).
+    """
     colors = np.array([[palette[_WALL_COLORS[c]] for c in course] for course in _WALL_PATTERN])
     courses, bricks = colors.shape
     red, seam = palette["red brick"], palette["seam"]
@@ -160,6 +170,7 @@ def _wall(
 
 
 def _shelf(palette: SurfaceTable, depth_m: float, *, top: float, bottom: float) -> Layer:
+    """Front edge of a shelf across the whole picture, from `top` to `bottom`, m."""
     shelf = palette["shelf"]
 
     def paint(x: Array, y: Array) -> NDArray[np.intp]:
@@ -168,7 +179,7 @@ def _shelf(palette: SurfaceTable, depth_m: float, *, top: float, bottom: float) 
     return Layer(depth_m, paint)
 
 
-# The horse in centimetres right and up from the ground below its middle: chains of (x, y, radius).
+# The horse: chains of (x, y, radius) in centimetres, right and up from the ground below its middle.
 _BODY = (
     [(-1.6, 3.35, 1.10), (0.2, 3.25, 1.05), (1.9, 3.45, 1.18)],
     [(-1.9, 3.7, 0.95), (-2.75, 5.5, 0.58)],
@@ -182,10 +193,11 @@ _BODY = (
 _TAIL = [(2.95, 4.0, 0.26), (3.55, 3.0, 0.34), (3.6, 1.6, 0.20)]
 _MANE = [(-2.15, 6.3, 0.22), (-1.75, 5.5, 0.30), (-0.95, 4.45, 0.24)]
 _SEAT = [(-0.65, 4.62, 0.20), (0.2, 4.36, 0.26), (1.15, 4.66, 0.22)]
-_SIZE = 1.2  # of the whole horse
+_SIZE = 1.2  # scale of the whole horse
 
 
 def _horse(palette: SurfaceTable, depth_m: float, *, x: float, ground: float) -> Layer:
+    """Horse with a saddle, rounded in relief, standing at (`x`, `ground`), m."""
     coat, dark, saddle = palette["horse"], palette["hoof"], palette["saddle"]
     origin_x, origin_y = x, ground
 
@@ -211,8 +223,8 @@ def _horse(palette: SurfaceTable, depth_m: float, *, x: float, ground: float) ->
         return surface
 
     def relief(x: Array, y: Array) -> Array:
-        # a cushion: rises towards the middle of each limb, level beyond 6 mm from the outline
-        round_m = 0.006  # with 0.35 of it in height: edges tilted enough to see the roundness
+        # rises from the outline of each limb towards its middle, and is level beyond 6 mm
+        round_m = 0.006  # a height of 0.35 times that tilts the edges enough to be visible
         rim = np.clip(inside(*units(x, y)) * _SIZE / 100 / round_m, 0, 1)
         return 0.35 * round_m * (1 - (1 - rim) ** 2)
 

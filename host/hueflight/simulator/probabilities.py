@@ -1,13 +1,13 @@
-"""p(code) of a first-photon sensor, exact for a periodic light signal.
+"""Probabilities of codes of a first-photon sensor, exact for a periodic light signal.
 
 Within a period, the first photon falls into bin i with probability
-exp(−Λ_i)·(1 − exp(−λ_i)), where λ_i is the bin's expected photon number and Λ_i that of all
-bins before it in the period. An exposure of M periods keeps the first photon of the first period
-that has one, and no period knows of the one before, so
+exp(−Λ_i)·(1 − exp(−λ_i)), where λ_i is the expected number of photons in the bin and Λ_i that in
+all bins before it in the period. An exposure of M periods keeps the first photon of the first
+period that contains one. Periods are independent of one another, so
 
     p_i = exp(−Λ_i)·(1 − exp(−λ_i)) · (1 − exp(−MΛ)) / (1 − exp(−Λ)),    p_0 = exp(−MΛ).
 
-The exposure opens with a period.
+The exposure begins with a period.
 """
 
 from __future__ import annotations
@@ -23,22 +23,25 @@ from hueflight.model.instrument import Instrument
 from hueflight.model.time_bins import TimeBins
 from hueflight.simulator.light import Rates
 
-# Cubic interpolation of a bin's share between delays h apart errs by at most
+# Cubic interpolation of a bin's share between delays h apart has an error of at most
 # (9/16)·h⁴/24·max|share''''|, and the fourth derivative of a bin's share of a pulse with Gaussian
 # part σ is at most 2·0.551/σ⁴ (an exponential tail only smooths). With h = σ/24: 7.8e-8.
 STEPS_PER_SIGMA = 24
 
-_TILE_BYTES = 1 << 20  # stays in the processor's cache
+_TILE_BYTES = 1 << 20  # fits into the processor's cache
 
 
 @dataclass(frozen=True)
 class PulseTable:
-    """Every band's share of light in every bin, tabulated over delay.
+    """Fraction of every band's light that falls into each bin, tabulated over delay.
 
     Attributes
     ----------
-    start_ns, step_ns : delay of the first entry and between entries.
-    shares : (delay, band, bin).
+    start_ns, step_ns : float
+        Delay of the first entry and step from one entry to the next, ns.
+    shares : ndarray of float, shape (delay, band, bin)
+        Fraction of a band's photons that fall into the bin; the sum over bins is 1 where the
+        bins cover the whole period.
     """
 
     start_ns: float
@@ -49,7 +52,7 @@ class PulseTable:
     def build(
         cls, instrument: Instrument, bins: TimeBins, delay_ns: NDArray[np.floating]
     ) -> PulseTable:
-        """A table that covers all given delays."""
+        """Tabulate the pulses of an instrument over a range that covers all given delays, ns."""
         trains = [instrument.pulses(band) for band in range(len(instrument.bands))]
         step_ns = min(pulse.sigma_ns for train in trains for pulse in train) / STEPS_PER_SIGMA
         first = floor(float(delay_ns.min()) / step_ns) - 1
@@ -69,7 +72,20 @@ class PulseTable:
     def expected(
         self, photons: NDArray[np.float64], delay_ns: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Photons per bin: photons (band, pixel), delays (pixel,) → (pixel, bin)."""
+        """Interpolate the expected photons per bin of each pixel.
+
+        Parameters
+        ----------
+        photons : ndarray of float, shape (band, pixel)
+            Photons per period.
+        delay_ns : ndarray of float, shape (pixel,)
+            Delay of the light, within the range of the table, ns.
+
+        Returns
+        -------
+        ndarray of float, shape (pixel, bin)
+            Photons per period in each bin.
+        """
         position = (delay_ns - self.start_ns) / self.step_ns
         cell = position.astype(np.intp)
         f = position - cell
@@ -88,21 +104,24 @@ class PulseTable:
             at = cell[members[0]]
             neighbours = self.shares[at - 1 : at + 3].reshape(-1, self.shares.shape[2])
             result[members] = weights[members] @ neighbours
-        return np.maximum(result, 0, out=result)  # interpolation may undershoot by its error
+        return np.maximum(result, 0, out=result)  # the interpolation error may make it negative
 
 
 def code_probabilities(rates: Rates, rows: slice = slice(None)) -> NDArray[np.float64]:
-    """Probability of every code in one exposure.
+    """Compute the probability of every code in one exposure.
 
     Parameters
     ----------
-    rates : from `expected_rates`.
-    rows : which rows to compute.
+    rates : Rates
+        Expected photons of every pixel, from `expected_rates`.
+    rows : slice
+        Rows of the image to compute; all by default.
 
     Returns
     -------
-    (row, col, code). Code 0 is that of an empty exposure where the sensor reports those; else
-    the probabilities of a pixel sum to its occupancy, and what is missing has no code.
+    ndarray of float, shape (row, col, code)
+        Probability of each code. If the sensor reports empty exposures, they have code 0 and the
+        probabilities of a pixel sum to 1; otherwise they sum to its occupancy.
     """
     part = rates.rows(rows)
     table = PulseTable.build(rates.instrument, rates.bins, part.delay_ns)
@@ -110,7 +129,20 @@ def code_probabilities(rates: Rates, rows: slice = slice(None)) -> NDArray[np.fl
 
 
 def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    """`code_probabilities` by pieces of bounded size: rows and their (row, col, code)."""
+    """Compute `code_probabilities` in tiles of a few rows, so that memory stays bounded.
+
+    Parameters
+    ----------
+    rates : Rates
+        Expected photons of every pixel, from `expected_rates`.
+
+    Yields
+    ------
+    rows : slice
+        Rows of the tile.
+    probabilities : ndarray of float, shape (row, col, code)
+        Probability of each code in these rows.
+    """
     table = PulseTable.build(rates.instrument, rates.bins, rates.delay_ns)
     rows, cols = rates.shape
     step = max(1, _TILE_BYTES // (8 * cols * rates.instrument.sensor.codes))
@@ -120,6 +152,7 @@ def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]
 
 
 def _tile_probabilities(rates: Rates, table: PulseTable) -> NDArray[np.float64]:
+    """Probability of every code, shape (row, col, code); the table must cover all delays."""
     sensor, bins = rates.instrument.sensor, rates.bins
     bands = rates.photons.shape[0]
     expected = table.expected(rates.photons.reshape(bands, -1), rates.delay_ns.ravel())
@@ -135,7 +168,24 @@ def _tile_probabilities(rates: Rates, table: PulseTable) -> NDArray[np.float64]:
 def first_photon_probabilities(
     expected: NDArray[np.float64], periods: int, *, pile_up: bool
 ) -> NDArray[np.float64]:
-    """p(bin) from expected photons per period, both (…, bin) in time order; see the module."""
+    """Probability that the photon that an exposure keeps is in each bin.
+
+    The module's docstring derives the equation.
+
+    Parameters
+    ----------
+    expected : ndarray of float, shape (..., bin)
+        Expected photons per period in each bin, in time order.
+    periods : int
+        Number of periods in one exposure.
+    pile_up : bool
+        Whether an early photon hides later ones of its period.
+
+    Returns
+    -------
+    ndarray of float, shape (..., bin)
+        Probability of each bin; they sum to the probability of an exposure that is not empty.
+    """
     total = expected.sum(axis=-1, keepdims=True)
     occupancy = -np.expm1(-periods * total)
     if pile_up:

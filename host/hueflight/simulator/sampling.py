@@ -1,4 +1,4 @@
-"""Codes and histograms drawn from p(code)."""
+"""Codes and histograms drawn at random from the probabilities of codes."""
 
 from __future__ import annotations
 
@@ -25,22 +25,31 @@ def simulate_histogram(
     settings: SimulationSettings | None = None,
     seed: int | Sequence[int] = 0,
 ) -> NDArray[np.unsignedinteger]:
-    """Counts of many exposures at once, by one multinomial draw for each pixel.
+    """Simulate the histograms of many exposures by one multinomial draw for each pixel.
 
     Parameters
     ----------
-    frames : exposures; each pixel's counts sum to it where the sensor reports empty exposures.
-    settings : light level and imperfections.
-    seed : of the photon noise, one or several numbers.
+    scene : Scene
+        Scene laid out for the same instrument.
+    instrument : Instrument
+        Instrument that looks at the scene.
+    frames : int
+        Number of exposures; the counts of a pixel sum to it if the sensor reports empty ones.
+    settings : SimulationSettings or None
+        Light level and imperfections; None for the defaults.
+    seed : int or sequence of int
+        Seed of the photon noise.
 
     Returns
     -------
-    (row, col, code), uint16 where `frames` fits, else uint32.
+    ndarray of uint16 or uint32, shape (row, col, code)
+        Number of exposures with each code; uint16 up to 65535 frames.
 
     Raises
     ------
     SceneError
-        If the scene does not fit the instrument or `frames` is not 1 … 2³² − 1.
+        If the scene does not fit the instrument, `frames` is not from 1 to 2³² − 1, or a seed is
+        negative.
     """
     _check_frames(frames)
     rates = expected_rates(scene, instrument, settings)
@@ -48,7 +57,7 @@ def simulate_histogram(
     dtype = np.uint16 if frames <= np.iinfo(np.uint16).max else np.uint32
     histogram = np.empty(instrument.histogram_shape, dtype=dtype)
     for rows, probabilities in probability_tiles(rates):
-        # what is no code is the empty exposure, last so that it takes the rounding
+        # the empty exposure comes last, as the last outcome absorbs the rounding error
         if instrument.sensor.reports_empty:
             outcomes = np.roll(probabilities, -1, axis=-1)
             counts = np.roll(rng.multinomial(frames, outcomes), 1, axis=-1)
@@ -70,24 +79,35 @@ def simulate_codes(
     rows: slice = slice(None),
     block_frames: int = 256,
 ) -> Iterator[NDArray[np.uint16]]:
-    """Codes frame by frame: every pixel of every exposure is drawn on its own.
+    """Simulate codes frame by frame, each pixel of each exposure drawn separately.
 
     Parameters
     ----------
-    frames : how many.
-    seed : of the photon noise, one or several numbers.
-    rows : which rows of the image, e.g. one scan step; all by default.
-    block_frames : frames per block.
+    scene : Scene
+        Scene laid out for the same instrument.
+    instrument : Instrument
+        Instrument that looks at the scene.
+    frames : int
+        Number of exposures.
+    settings : SimulationSettings or None
+        Light level and imperfections; None for the defaults.
+    seed : int or sequence of int
+        Seed of the photon noise.
+    rows : slice
+        Rows of the image to simulate, for example those of one scan step; all by default.
+    block_frames : int
+        Largest number of frames in one block.
 
-    Yields
-    ------
-    (frame, row, col) uint16, at most `block_frames` frames each.
+    Returns
+    -------
+    iterator of ndarray of uint16, shape (frame, row, col)
+        Blocks of codes in the order of the frames.
 
     Raises
     ------
     SceneError
         If the scene does not fit the instrument, the sensor has no code for an empty exposure,
-        or `frames` is not positive.
+        `frames` is not from 1 to 2³² − 1, or a seed is negative.
     """
     require_codes(instrument)
     _check_frames(frames)
@@ -98,9 +118,10 @@ def simulate_codes(
 def _draw_codes(
     rates: Rates, frames: int, rng: np.random.Generator, block_frames: int
 ) -> Iterator[NDArray[np.uint16]]:
+    """Blocks of codes, shape (frame, row, col), by inverting the cumulative distribution."""
     rows, cols = rates.shape
     thresholds = _thresholds(rates).reshape(rows * cols, -1)
-    # past the last threshold lies the empty exposure, code 0
+    # a draw beyond the last threshold is an empty exposure, code 0
     code_of_bin = np.append(rates.bins.codes, 0).astype(np.uint16)
     for start in range(0, frames, block_frames):
         count = min(block_frames, frames - start)
@@ -122,23 +143,24 @@ def _thresholds(rates: Rates) -> NDArray[np.uint32]:
 
 
 def require_codes(instrument: Instrument) -> None:
-    """Raise `SceneError` unless the sensor can deliver codes frame by frame."""
+    """Raise `SceneError` if the sensor has no code for an empty exposure."""
     if not instrument.sensor.reports_empty:
         raise SceneError(
             f"instrument {instrument.name!r} has no code for an empty exposure "
-            '(sensor.code_zero = "bin"), so it can\'t deliver codes frame by frame: '
-            "simulate its histogram"
+            '(sensor.code_zero = "bin") and cannot deliver codes frame by frame: '
+            "simulate its histogram instead"
         )
 
 
 def _generator(seed: int | Sequence[int], purpose: int) -> np.random.Generator:
-    """Random numbers of their own for each purpose, so that the samplers share none."""
+    """Random generator for one purpose; different purposes draw independent numbers."""
     numbers = [seed] if isinstance(seed, int) else list(seed)
     if any(number < 0 for number in numbers):
-        raise SceneError(f"seed = {seed!r}: must not be negative")
+        raise SceneError(f"seed = {seed!r}: must be 0 or more")
     return np.random.default_rng([*numbers, purpose])
 
 
 def _check_frames(frames: int) -> None:
+    """Raise `SceneError` unless the number of frames fits into a counter of 32 bits."""
     if not 1 <= frames < _FULL_SCALE:
-        raise SceneError(f"frames = {frames}: must be 1 … {_FULL_SCALE - 1}")
+        raise SceneError(f"frames = {frames}: must be from 1 to {_FULL_SCALE - 1}")

@@ -1,8 +1,8 @@
-"""A scene as an instrument sees it: what each pixel looks at, how far, how well lit, and the truth.
+"""A scene from an instrument's point of view: depth, surface and illumination of every pixel.
 
-Scenes are made of flat layers that face the camera, described in metres, so that any geometry can
-look at them: each pixel's ray is followed to the first layer that it hits, and from there to
-each LED to see whether another layer is in the way.
+Scenes consist of flat layers that face the camera. They are described in metres, so that any
+instrument can be combined with any scene. The ray of each pixel is followed to the first layer
+that it hits, and from there to each LED to find out whether another layer casts a shadow.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from hueflight.model.spectra import WAVELENGTH_NM, band_weights
 
 NOTHING = -1  #: surface index where a ray meets nothing
 
-_GLOSS_SPREAD = (
-    0.08  # of a highlight on print, metres per metre of distance: satin rather than glass
-)
+#: width of a highlight on satin print, metres per metre of distance
+_GLOSS_SPREAD = 0.08
 
 Paint = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.intp]]
 Relief = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
@@ -113,36 +112,82 @@ class Scene:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(row, col)."""
+        """Number of rows and columns."""
         return self.depth.shape[0], self.depth.shape[1]
 
     @property
     def visible(self) -> NDArray[np.bool_]:
-        """Whether a ray meets anything, (row, col)."""
+        """Whether the ray of each pixel meets a surface, shape (row, col)."""
         return self.surface != NOTHING
 
     def require_fit(self, instrument: Instrument) -> None:
-        """Raise `SceneError` unless the scene was laid out for this instrument's geometry."""
+        """Check that the scene was laid out for the geometry of an instrument.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument that looks at the scene.
+
+        Raises
+        ------
+        SceneError
+            If the number of bands, rows or columns differs.
+        """
         expected = (len(instrument.bands), *instrument.image_shape)
         if self.light.shape != expected:
             raise SceneError(
                 f"scene {self.name!r} was laid out for (band, row, col) = {self.light.shape} but "
-                f"instrument {instrument.name!r} has {expected}: make the scene for it"
+                f"instrument {instrument.name!r} has {expected}: lay it out for that instrument"
             )
 
     def band_reflectance(self, instrument: Instrument) -> NDArray[np.float64]:
-        """Mean reflectance under each band's light, (band, row, col); 0 where there is nothing."""
+        """Mean reflectance, weighted by the spectrum of each band's light at the detector.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument whose bands give the weights.
+
+        Returns
+        -------
+        ndarray of float, shape (band, row, col)
+            Mean reflectance; 0 where a ray meets nothing.
+        """
         return self._spread(band_weights(instrument) @ self.spectra.T)
 
     def mean_reflectance(self, weights: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Mean reflectance under one spectrum (wavelength,), (row, col); 0 where there is nothing.
+        """Mean reflectance under light of one spectrum.
 
-        The weights should sum to 1.
+        Parameters
+        ----------
+        weights : ndarray of float, shape (wavelength,)
+            Spectrum of the light at `spectra.WAVELENGTH_NM`, normalized to sum 1.
+
+        Returns
+        -------
+        ndarray of float, shape (row, col)
+            Mean reflectance; 0 where a ray meets nothing.
         """
         return self._spread(weights[None] @ self.spectra.T)[0]
 
     def truth(self, instrument: Instrument) -> Truth:
-        """Depth, reflectance and regions that a perfect measurement would give."""
+        """Compute what a perfect measurement of the scene would give.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument for which the scene was laid out.
+
+        Returns
+        -------
+        Truth
+            Depth, reflectance and regions; NaN where a ray meets nothing.
+
+        Raises
+        ------
+        SceneError
+            If the scene was laid out for another geometry.
+        """
         self.require_fit(instrument)
         nothing = ~self.visible
         lit = np.all(self.light == 1, axis=0) & self.visible
@@ -156,8 +201,11 @@ class Scene:
         )
 
     def _spread(self, of_surface: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, surface) → (…, row, col), 0 where there is nothing."""
-        # the appended column is where index −1 points
+        """Spread values per surface, (band, surface), over the pixels, (band, row, col).
+
+        Pixels without a surface get 0.
+        """
+        # index −1 of pixels without a surface selects the appended column
         padded = np.concatenate([of_surface, np.zeros((of_surface.shape[0], 1))], axis=1)
         return padded[:, self.surface]
 
@@ -165,7 +213,22 @@ class Scene:
 def illuminator_positions(
     instrument: Instrument, center_m: tuple[float, float], ring_m: float
 ) -> NDArray[np.float64]:
-    """Where each LED sits in the camera's plane, metres right and down, shape (band, 2)."""
+    """Positions of the LEDs of a ring in the plane of the lens.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument with one LED per band.
+    center_m : tuple of float
+        Center of the ring, metres right and down of the lens.
+    ring_m : float
+        Diameter of the ring, m.
+
+    Returns
+    -------
+    ndarray of float, shape (band, 2)
+        Position of each LED, metres right and down of the lens, clockwise from the right.
+    """
     angle = 2 * np.pi * np.arange(len(instrument.bands)) / len(instrument.bands)
     return np.array(center_m) + ring_m / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
@@ -182,18 +245,44 @@ def trace(
     leds_m: NDArray[np.float64],
     indirect: float,
 ) -> Scene:
-    """The scene that layers make for an instrument.
+    """Trace the rays of an instrument to layers and onwards to its LEDs.
 
     Parameters
     ----------
-    surfaces, spectra : names and reflectances (surface, wavelength) that `Layer.paint` points to.
-    regions : name → surfaces that belong to it.
-    gloss : surface → height of its mirror-like reflection.
-    leds_m : (band, 2), see `illuminator_positions`.
-    indirect : share of light that reaches a shadow by way of other surfaces.
+    name : str
+        Name of the scene.
+    layers : sequence of Layer
+        Objects of the scene, in any order.
+    instrument : Instrument
+        Instrument that looks at the scene.
+    surfaces : sequence of str
+        Names of the surfaces, at the indices that `Layer.paint` returns.
+    spectra : ndarray of float, shape (surface, wavelength)
+        Reflectance of each surface at `spectra.WAVELENGTH_NM`.
+    regions : mapping of str to sequence of str
+        Surfaces that belong to each named region.
+    gloss : mapping of str to float
+        Specular reflectance of glossy surfaces at its maximum.
+    leds_m : ndarray of float, shape (band, 2)
+        Position of each LED, metres right and down of the lens, from `illuminator_positions`.
+    indirect : float
+        Fraction of the light that reaches a shadow by way of other surfaces, 0 to 1.
+
+    Returns
+    -------
+    Scene
+        Depth, surface and illumination of every pixel.
+
+    Raises
+    ------
+    SceneError
+        If `spectra` does not have one row for each surface.
     """
     if spectra.shape != (len(surfaces), WAVELENGTH_NM.size):
-        raise SceneError(f"spectra have shape {spectra.shape}, not one row for each surface")
+        raise SceneError(
+            f"spectra have shape {spectra.shape}: give one row of {WAVELENGTH_NM.size} values "
+            f"for each of the {len(surfaces)} surfaces"
+        )
     right, down = instrument.ray_slopes()
     shape = right.shape
     depth = np.full(shape, np.nan)
@@ -219,8 +308,8 @@ def trace(
                 )
                 light[band, hit] *= np.where(front.paint(*on_way) == NOTHING, 1.0, indirect)
         in_front.append(layer)
-    np.maximum(light, indirect, out=light)  # two things in the way are no darker than one
-    # a mirror facing the camera shows the LEDs at half their offset
+    np.maximum(light, indirect, out=light)  # two obstacles make the shadow no darker than one
+    # a mirror that faces the camera shows the LEDs at half their offset
     off_x, off_y = (
         slope * np.where(np.isnan(depth), 1, depth) - middle / 2
         for slope, middle in zip((right, down), leds_m.mean(axis=0), strict=True)
@@ -250,10 +339,14 @@ def _tilt(
     right: NDArray[np.float64],
     down: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Cosine of incidence over that of the flat layer, at points of a relief."""
+    """Cosine of incidence at points of a relief, divided by that of the flat layer.
+
+    `x` and `y` are the positions on the layer, m, and `right` and `down` the slopes of the rays to
+    them, all of shape (point,).
+    """
     step = 2e-4
     slope_x = (relief(x + step, y) - relief(x - step, y)) / (2 * step)
     slope_y = (relief(x, y + step) - relief(x, y - step)) / (2 * step)
-    # the normal is −(slope_x, slope_y, 1), the way to the camera −(right, down, 1)
+    # the normal is −(slope_x, slope_y, 1), the direction to the camera −(right, down, 1)
     facing = 1 + slope_x * right + slope_y * down
     return np.maximum(facing, 0) / np.sqrt(1 + slope_x**2 + slope_y**2)

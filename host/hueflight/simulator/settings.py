@@ -1,4 +1,4 @@
-"""What is not the scene: light level, imperfections of the sensor, and which LEDs fire."""
+"""Settings of a simulation: light level, imperfections of the sensor, and strength of the LEDs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hueflight.model.time_bins import TimeBins
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings:
-    """Light and imperfections of a simulated instrument; the defaults are a good real one.
+    """Light level and imperfections; the defaults are those of a good real instrument.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class SimulationSettings:
         if self.hot_share + self.dead_share > 1:
             raise SceneError(
                 f"settings: hot_share {self.hot_share} and dead_share {self.dead_share} "
-                "are together more than all pixels"
+                "together exceed 1; reduce one of them"
             )
         if self.dnl_lsb > 0.25:
             raise SceneError(
@@ -85,11 +85,24 @@ class SimulationSettings:
             )
         drives = self.drive if isinstance(self.drive, tuple) else (self.drive,)
         if any(not (isfinite(d) and d >= 0) for d in drives):
-            raise SceneError(f"settings.drive = {self.drive!r}: every LED's must be 0 or more")
+            raise SceneError(f"settings.drive = {self.drive!r}: must be finite numbers, 0 or more")
 
     @classmethod
     def ideal(cls, **changes: Any) -> SimulationSettings:
-        """No imperfection and no background; pile-up, which is statistics, stays on."""
+        """Settings without imperfections or background light.
+
+        Pile-up stays on, as it belongs to the statistics of first photons.
+
+        Parameters
+        ----------
+        **changes : object
+            Attributes to set to other values.
+
+        Returns
+        -------
+        SimulationSettings
+            Ideal settings with these changes.
+        """
         perfect = cls(
             ambient=0, dark_counts=0, dark_spread=0, hot_share=0, dead_share=0,
             delay_skew_ns=0, delay_spread_ns=0, dnl_lsb=0, inl_lsb=0,
@@ -97,25 +110,52 @@ class SimulationSettings:
         return perfect.replace(**changes)
 
     def replace(self, **changes: Any) -> SimulationSettings:
-        """A copy with some values changed."""
+        """Copy the settings with some values changed.
+
+        Parameters
+        ----------
+        **changes : object
+            Attributes to set to other values.
+
+        Returns
+        -------
+        SimulationSettings
+            Settings with these changes.
+        """
         return replace(self, **changes)
 
     def band_drive(self, instrument: Instrument) -> NDArray[np.float64]:
-        """Strength of each LED, (band,)."""
+        """Strength of each LED of an instrument.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument whose bands the LEDs belong to.
+
+        Returns
+        -------
+        ndarray of float, shape (band,)
+            Relative strength; 1 for the nominal power, 0 for off.
+
+        Raises
+        ------
+        SceneError
+            If `drive` is a tuple with another number of entries than the instrument has bands.
+        """
         bands = len(instrument.bands)
         if not isinstance(self.drive, tuple):
             return np.full(bands, float(self.drive))
         if len(self.drive) != bands:
             raise SceneError(
                 f"settings.drive has {len(self.drive)} entries but instrument "
-                f"{instrument.name!r} has {bands} bands"
+                f"{instrument.name!r} has {bands} bands: give one number, or one per band"
             )
         return np.array(self.drive, dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """What distinguishes the pixels of one sensor from one another, each (row, col) of an image.
+    """Properties in which the pixels of a sensor differ, for each pixel of an image.
 
     Attributes
     ----------
@@ -133,18 +173,31 @@ class Pixels:
     dead: NDArray[np.bool_]
 
 
-# A hot pixel is a diode whose dark rate is so high that it fires in any exposure, most within
-# some periods. Its codes need no special case: they follow from first-photon statistics, a steep
-# decay from the opening of the exposure.
+# A hot pixel is a diode with a dark count rate so high that it fires in every exposure, usually
+# within a few periods. Its codes need no special case: by first-photon statistics they decay
+# steeply from the start of the exposure.
 _HOT_RATE_HZ = (1e6, 3e7)
 
 
 def pixels(instrument: Instrument, settings: SimulationSettings) -> Pixels:
-    """Delay, dark rate and defects of every pixel; a scanned sensor's repeat at each step."""
+    """Draw delay, dark count rate and defects of every pixel.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument with the sensor.
+    settings : SimulationSettings
+        Size of the imperfections and their seed.
+
+    Returns
+    -------
+    Pixels
+        Properties of each pixel of the image; those of a scanned sensor repeat at each step.
+    """
     sensor = instrument.sensor
     shape = (sensor.rows, sensor.cols)
     rng = np.random.default_rng([settings.seed, 1])
-    # all draws are made whatever the settings, so that switching one thing off moves no other
+    # always draw everything, so that one imperfection switched off leaves the others unchanged
     lottery = rng.permuted(np.arange(sensor.rows * sensor.cols)).reshape(shape) / np.prod(shape)
     own_delay = rng.standard_normal(shape)
     darkness = rng.standard_normal(shape)
@@ -171,11 +224,28 @@ def pixels(instrument: Instrument, settings: SimulationSettings) -> Pixels:
 
 
 def time_bins(instrument: Instrument, settings: SimulationSettings) -> TimeBins:
-    """The bins that the simulated converter really has, of unequal width; equal for all pixels.
+    """Draw the actual bins of the simulated converter, of unequal widths.
 
-    Widths vary at random and with an arch over the whole range, as when a ring oscillator
-    drifts. The last full code ends where it should, so the partial code of a period that is not
-    a whole number of codes keeps its nominal width.
+    Widths vary at random, and edges deviate along an arch over the whole range, as with a drifting
+    ring oscillator. The last full code ends at its nominal time, so that the partial code of a
+    period that is not a whole number of codes keeps its nominal width.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument with the converter.
+    settings : SimulationSettings
+        Nonlinearity of the converter and the seed.
+
+    Returns
+    -------
+    TimeBins
+        Bins of all pixels, in order of arrival time.
+
+    Raises
+    ------
+    SceneError
+        If the nonlinearity is so large that a code has no width.
     """
     nominal = instrument.time_bins()
     if settings.dnl_lsb == 0 and settings.inl_lsb == 0:
@@ -193,7 +263,7 @@ def time_bins(instrument: Instrument, settings: SimulationSettings) -> TimeBins:
     if np.any(np.diff(edges) <= 0):
         raise SceneError(
             f"settings: dnl_lsb = {settings.dnl_lsb} and inl_lsb = {settings.inl_lsb} leave a "
-            "code without width: reduce them"
+            "code without width: reduce one of them"
         )
     if reverse:
         edges = (edges[-1] - edges)[::-1].copy()

@@ -1,4 +1,4 @@
-"""Shapes to paint layers with: boolean masks and inside distances over metres right and down."""
+"""Shapes of the objects in a scene, as functions of positions in metres right and down."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Mask = NDArray[np.bool_]
 
 
 def rectangle(x: Array, y: Array, left: float, top: float, right: float, bottom: float) -> Mask:
-    """Points inside a rectangle; its right and bottom edges belong to the neighbour."""
+    """Points inside a rectangle, which includes its left and top edges but not the other two."""
     return (x >= left) & (x < right) & (y >= top) & (y < bottom)
 
 
@@ -27,11 +27,19 @@ def limb(
     y: Array,
     joints: Sequence[tuple[float, float, float]],
 ) -> Array:
-    """How deep inside a chain of tapering, round-ended limbs points lie; negative outside.
+    """Depth of points inside a chain of tapering limbs with round ends.
 
     Parameters
     ----------
-    joints : (x, y, radius) along the chain.
+    x, y : ndarray of float
+        Positions of the points.
+    joints : sequence of tuple of float
+        Position and radius (x, y, radius) of each joint along the chain, in the unit of `x`.
+
+    Returns
+    -------
+    ndarray of float
+        Distance of each point from the outline, in the unit of `x`; negative outside.
     """
     inside = np.full(np.shape(x), -np.inf)
     for (x0, y0, r0), (x1, y1, r1) in pairwise(joints):
@@ -43,7 +51,7 @@ def limb(
     return inside
 
 
-# 5 × 7 letters, rows from the top, `#` is ink
+# letters of 5 × 7 dots, rows from the top; `#` is ink
 _LETTERS = {
     "E": "##### #.... #.... ####. #.... #.... #####",
     "F": "##### #.... #.... ####. #.... #.... #....",
@@ -59,12 +67,25 @@ _LETTERS = {
 def lettering(
     x: Array, y: Array, text: str, *, left: float, top: float, dot_width: float, dot_height: float
 ) -> NDArray[np.intp]:
-    """Which letter of a text has ink at each point, −1 for none.
+    """Find the letter of a text that has ink at each point.
+
+    Letters have 5 × 7 dots and follow one another every six dots.
 
     Parameters
     ----------
-    left, top : of the first letter; dot_width, dot_height : of one of its 5 × 7 dots; letters
-        follow each other every six dots.
+    x, y : ndarray of float
+        Positions of the points, metres right and down.
+    text : str
+        Text to write, of the letters in `_LETTERS`.
+    left, top : float
+        Position of the top left corner of the first letter, m.
+    dot_width, dot_height : float
+        Size of one dot, m.
+
+    Returns
+    -------
+    ndarray of int
+        Index of the letter in the text for each point; −1 where there is no ink.
     """
     glyphs = np.array([
         [[dot == "#" for dot in row] for row in _LETTERS[letter].split()] for letter in text

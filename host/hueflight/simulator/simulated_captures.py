@@ -1,4 +1,4 @@
-"""Captures as a lab would take them: the reference, one LED at a time, dark, flat, the scene."""
+"""Simulated captures: the scene, the white reference, single LEDs, dark and flat."""
 
 from __future__ import annotations
 
@@ -54,15 +54,27 @@ def exposures(
     distance: float = 0.40,
     settings: SimulationSettings | None = None,
 ) -> tuple[Exposure, ...]:
-    """The exposures that make up a capture: one, or one for each LED of kind ``"bands"``.
+    """List the exposures that make up a capture: one, or one for each LED of kind ``"bands"``.
 
     Parameters
     ----------
-    kind : one of `CAPTURES`.
-    scene : what to look at; by default a white plane for all kinds but ``"scene"``, which needs
-        it.
-    distance : of that plane, m (paper: 0.40).
-    settings : of the instrument; LEDs and steady light are set as the kind demands.
+    kind : {"scene", "reference", "bands", "dark", "flat"}
+        Kind of capture, as `CAPTURES` describes them.
+    instrument : Instrument
+        Simulated instrument.
+    scene : Scene or None
+        Scene to look at. None stands for a white plane, except for kind ``"scene"``, which
+        needs a scene.
+    distance : float
+        Distance of the white plane, m (paper: 0.40).
+    settings : SimulationSettings or None
+        Light level and imperfections, None for the defaults. LEDs and ambient light are changed
+        as the kind requires.
+
+    Returns
+    -------
+    tuple of Exposure
+        Scene and settings of each histogram of the capture.
 
     Raises
     ------
@@ -74,7 +86,7 @@ def exposures(
         raise SceneError(f"no capture {kind!r}: there are {', '.join(CAPTURES)}")
     if scene is None:
         if kind == "scene":
-            raise SceneError('capture "scene" needs a scene: pass scene=')
+            raise SceneError('capture "scene" needs a scene: pass one as scene=')
         scene = make_scene("plane", instrument, distance=distance)
     if kind == "bands":
         drives = np.diag(settings.band_drive(instrument))
@@ -98,22 +110,42 @@ def simulate_capture(
     settings: SimulationSettings | None = None,
     seed: int = 0,
 ) -> NDArray[np.unsignedinteger]:
-    """Histogram of a capture.
+    """Simulate the histograms of a capture.
 
-    The reference at 0.40 m is 6.25 times as bright as white at 1 m and by default not attenuated:
-    with the default light 2.2 photons reach each exposure, 0.89 of the exposures report one, and
-    the rest shows in code 0. That is what such an instrument delivers; brightness follows as
-    −ln(share of empty exposures). Set `settings.drive` below 1 to dim the LEDs instead.
+    The white reference at 0.40 m is 6.25 times as bright as white at 1 m, since the LEDs are not
+    dimmed for it. With the default settings, 2.2 photons arrive per exposure and 0.89 of the
+    exposures contain one; the others have code 0. As in a real instrument, brightness is
+    therefore −ln(fraction of empty exposures). Set `settings.drive` below 1 to dim the LEDs.
 
     Parameters
     ----------
-    kind, scene, distance, settings : see `exposures`.
-    frames : exposures behind each histogram.
-    seed : of the photon noise; each kind draws its own.
+    kind : {"scene", "reference", "bands", "dark", "flat"}
+        Kind of capture, as `CAPTURES` describes them.
+    instrument : Instrument
+        Simulated instrument.
+    frames : int
+        Number of exposures in each histogram.
+    scene : Scene or None
+        Scene to look at. None stands for a white plane, except for kind ``"scene"``, which
+        needs a scene.
+    distance : float
+        Distance of the white plane, m (paper: 0.40).
+    settings : SimulationSettings or None
+        Light level and imperfections, None for the defaults. LEDs and ambient light are changed
+        as the kind requires.
+    seed : int
+        Seed of the photon noise; each kind of capture draws numbers of its own.
 
     Returns
     -------
-    (row, col, code); of kind ``"bands"`` (band, row, col, code).
+    ndarray of uint16 or uint32, shape (row, col, code) or (band, row, col, code)
+        Number of exposures with each code; kind ``"bands"`` has one histogram per LED.
+
+    Raises
+    ------
+    SceneError
+        If there is no such kind, the scene is missing or made for another instrument, or
+        `frames` is not from 1 to 2³² − 1.
     """
     parts = exposures(kind, instrument, scene=scene, distance=distance, settings=settings)
     histograms = [
@@ -141,23 +173,39 @@ def simulate_packets(
     capture: int = 0,
     clock_hz: int = 100_000_000,
 ) -> Iterator[bytes]:
-    """Frame packets of a capture, as the camera would send them.
+    """Simulate the frame packets of a capture, as the camera would send them.
 
-    Exposures follow each other (kind ``"bands"``), within each the positions of a scanned
-    sensor, within those the frames. The step marker counts all of that:
+    The exposures of kind ``"bands"`` follow one another, within each of them the positions of a
+    scanned sensor, and within those the frames. The step marker of a packet is
     ``exposure · scan_steps + position``.
 
     Parameters
     ----------
-    kind, scene, distance, settings : see `exposures`.
-    frames : per exposure and scan position.
-    seed : of the photon noise; each kind draws its own.
-    capture : label in every packet.
-    clock_hz : device clock that timestamps count.
+    kind : {"scene", "reference", "bands", "dark", "flat"}
+        Kind of capture, as `CAPTURES` describes them.
+    instrument : Instrument
+        Simulated instrument.
+    frames : int
+        Number of frames for each exposure and scan position.
+    scene : Scene or None
+        Scene to look at. None stands for a white plane, except for kind ``"scene"``, which
+        needs a scene.
+    distance : float
+        Distance of the white plane, m (paper: 0.40).
+    settings : SimulationSettings or None
+        Light level and imperfections, None for the defaults. LEDs and ambient light are changed
+        as the kind requires.
+    seed : int
+        Seed of the photon noise; each kind of capture draws numbers of its own.
+    capture : int
+        Capture number in every packet.
+    clock_hz : int
+        Frequency of the device clock whose ticks the timestamps count, Hz.
 
-    Yields
-    ------
-    One packet for each frame, (rows, cols) of the sensor.
+    Returns
+    -------
+    iterator of bytes
+        One packet per frame, with the codes of all rows and columns of the sensor.
 
     Raises
     ------
@@ -179,6 +227,7 @@ def _packets(
     capture: int,
     clock_hz: int,
 ) -> Iterator[bytes]:
+    """Packets of all exposures, scan positions and frames, in this order."""
     sensor = instrument.sensor
     frame_s = 1 / sensor.frame_rate_hz if sensor.frame_rate_hz else (sensor.exposure_ms or 1) * 1e-3
     number = count()

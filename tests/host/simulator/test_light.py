@@ -215,7 +215,7 @@ def test_flat_light_measures_the_bin_widths(one_pixel):
     [
         ({"ambient": -1}, r"settings\.ambient = -1"),
         ({"white_detections": float("nan")}, "white_detections = nan"),
-        ({"hot_share": 0.7, "dead_share": 0.5}, "together more than all pixels"),
+        ({"hot_share": 0.7, "dead_share": 0.5}, "together exceed 1"),
         ({"drive": (1.0, -2.0)}, r"drive = \(1\.0, -2\.0\)"),
         ({"dnl_lsb": 0.5}, "some codes would have no width"),
         ({"delay_skew_ns": float("inf")}, "delay_skew_ns = inf"),

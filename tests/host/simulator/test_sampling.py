@@ -170,7 +170,7 @@ def test_bad_frames_and_sensors_are_named(paper, resized, one_pixel):
         simulate_codes(view, one_pixel, frames=-3)
     with pytest.raises(SceneError, match="seed = -1"):
         simulate_codes(view, one_pixel, frames=3, seed=-1)
-    with pytest.raises(SceneError, match=r"laid out for .*\(9, 1, 1\).*make the scene for it"):
+    with pytest.raises(SceneError, match=r"laid out for .*\(9, 1, 1\).*lay it out for"):
         simulate_histogram(view, paper, frames=10)
     no_empty = resized(paper, 1, 1, code_zero="bin")
     with pytest.raises(SceneError, match="no code for an empty exposure"):

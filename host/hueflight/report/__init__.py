@@ -1,4 +1,4 @@
-"""The demo report: the paper's Figs 2–9 redrawn from the simulated instrument."""
+"""Demo report: the paper's figures and key numbers, reproduced with the simulated instrument."""
 
 from hueflight.report.report import make_report
 

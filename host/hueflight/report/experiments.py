@@ -1,7 +1,7 @@
-"""The paper's experiments, carried out by the simulated instrument.
+"""The paper's experiments, carried out with the simulated instrument.
 
-Each returns a frozen dataclass with what was measured, the truth beside it and the bound; the
-figures only draw them.
+Each experiment returns a frozen dataclass with the measured values, the true ones and, where there
+is one, the Cramér–Rao bound. `figures` draws them.
 """
 
 from __future__ import annotations
@@ -24,17 +24,32 @@ from hueflight.reconstruction.bounds import depth_bound
 from hueflight.reconstruction.reconstruct import reconstruct
 
 REFERENCE_DISTANCE_M = 0.40  #: white paper in front of the camera, paper section 3
-DISTANCES_M = (0.5, 1.0, 1.5)  #: of the paper's Fig. 7
-PAPER_ROWS = 192  #: of the sensor whose rows the paper numbers
+DISTANCES_M = (0.5, 1.0, 1.5)  #: distances of the scene in the paper's Fig. 7
+PAPER_ROWS = 192  #: rows of the sensor to which the paper's row numbers refer
 PROFILE_ROWS = (139, 56)  #: rows of the paper's Fig. 6
-DISTANCES_ROW = 80  #: crosses the window of the wall at all three
+DISTANCES_ROW = 80  #: a row that crosses the window of the wall at all three distances
 RANGE_PHOTONS = 10_000  #: signal photons of one range measurement of Fig. 9
-RANGE_DETECTIONS = 5e-4  #: per period at 1 m: dim, as one photon a period distorts bright pulses
+#: detections per period at 1 m in Fig. 9; few, as the first-photon sensor distorts bright pulses
+RANGE_DETECTIONS = 5e-4
 
 
 @dataclass(frozen=True)
 class Capture:
-    """A scene, what was counted of it, and what came out."""
+    """A capture of a scene, with its truth and the image reconstructed from it.
+
+    Attributes
+    ----------
+    scene : Scene
+        Scene in front of the camera.
+    truth : Truth
+        True depth and reflectance of the scene.
+    histogram : ndarray of uint16 or uint32, shape (row, col, code)
+        Number of exposures with each code.
+    image : Dataset
+        Image reconstructed from the histogram.
+    frames : int
+        Number of exposures.
+    """
 
     scene: simulator.Scene
     truth: simulator.Truth
@@ -45,7 +60,21 @@ class Capture:
 
 @dataclass(frozen=True)
 class WireCheck:
-    """Frames sent as packets and counted again, against the codes that went in."""
+    """Comparison of codes that were sent as packets with the histogram decoded from them.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames decoded.
+    bytes_per_frame : float
+        Mean size of a frame's packet, bytes.
+    photons : int
+        Number of photons decoded.
+    identical : bool
+        Whether the decoded histogram equals the one counted from the codes themselves.
+    encode_seconds, decode_seconds : float
+        Time for writing and for reading all packets, s.
+    """
 
     frames: int
     bytes_per_frame: float
@@ -57,7 +86,17 @@ class WireCheck:
 
 @dataclass(frozen=True)
 class RangeSeries:
-    """One pixel with fine bins in front of a plane at many distances (Fig. 9)."""
+    """Distances measured by one pixel with fine bins in front of a plane (Fig. 9).
+
+    Attributes
+    ----------
+    truth : ndarray of float, shape (distance,)
+        True distance of the plane, m.
+    measured : ndarray of float, shape (distance,)
+        Measured distance, m.
+    bound : ndarray of float, shape (distance,)
+        Cramér–Rao bound of the standard deviation, m.
+    """
 
     truth: NDArray[np.float64]
     measured: NDArray[np.float64]
@@ -65,7 +104,7 @@ class RangeSeries:
 
     @property
     def residual(self) -> NDArray[np.float64]:
-        """Measured minus true distance, m."""
+        """Measured minus true distance, m, shape (distance,)."""
         return self.measured - self.truth
 
     @property
@@ -76,7 +115,21 @@ class RangeSeries:
 
 @dataclass(frozen=True)
 class DepthRow:
-    """Spread of the depth along one row of plain background, beside the bound."""
+    """Statistics of the depth along one row of plain background.
+
+    Attributes
+    ----------
+    row : int
+        Row of the image.
+    deviation : float
+        Standard deviation of measured minus true depth, m.
+    bias : float
+        Mean of measured minus true depth, m.
+    bound : float
+        Cramér–Rao bound of the standard deviation at the median number of photons, m.
+    photons : float
+        Median number of signal photons per pixel.
+    """
 
     row: int
     deviation: float
@@ -87,7 +140,27 @@ class DepthRow:
 
 @dataclass(frozen=True)
 class Findings:
-    """Everything that the report shows."""
+    """Results of all experiments of the report.
+
+    Attributes
+    ----------
+    instrument : Instrument
+        Simulated instrument.
+    calibration : Calibration
+        Calibration from simulated reference, dark and flat captures.
+    main : Capture
+        Scene of the paper's Fig. 1 from all frames.
+    background_row : DepthRow
+        Depth along a row of the board in `main`.
+    distances : dict of float to Capture
+        Scene of the paper's Fig. 7, by distance in metres.
+    frame_series : dict of int to Capture
+        Scene of the paper's Fig. 1, by number of frames in increasing order.
+    ranging : RangeSeries
+        Distances measured by a pixel with fine bins.
+    wire : WireCheck
+        Comparison of codes before and after their transfer as packets.
+    """
 
     instrument: Instrument
     calibration: Calibration
@@ -100,7 +173,24 @@ class Findings:
 
 
 def run_all(instrument: Instrument, *, frames: int, seed: int, progress: Progress) -> Findings:
-    """All experiments of the report, about ten captures."""
+    """Carry out all experiments of the report.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument to simulate; Fig. 9 uses the preset `fine` instead.
+    frames : int
+        Number of exposures of the main captures and of the calibration.
+    seed : int
+        Seed of the imperfections and of the photon noise.
+    progress : Progress
+        Display of the progress, advanced after each experiment.
+
+    Returns
+    -------
+    Findings
+        Results of all experiments.
+    """
     with task(progress, "experiments", 10):
         settings = simulator.SimulationSettings(seed=seed)
         calibration = reference_calibration(instrument, frames=frames, settings=settings)
@@ -150,7 +240,7 @@ def run_all(instrument: Instrument, *, frames: int, seed: int, progress: Progres
 def reference_calibration(
     instrument: Instrument, *, frames: int, settings: simulator.SimulationSettings
 ) -> Calibration:
-    """Calibration from a white sheet at 0.40 m, a dark and a flat capture."""
+    """Calibrate with simulated captures of a white sheet at 0.40 m, dark and flat."""
     captured = {
         kind: simulator.simulate_capture(kind, instrument, frames=frames, settings=settings)
         for kind in ("reference", "dark", "flat")
@@ -174,7 +264,30 @@ def capture(
     range_correction: bool = False,
     **layout: Any,
 ) -> Capture:
-    """One scene captured and reconstructed by the paper's method; `layout` goes to the scene."""
+    """Simulate the capture of a scene and reconstruct it by the paper's method.
+
+    Parameters
+    ----------
+    name : str
+        Name of the scene, one of `hueflight.simulator.scenes()`.
+    calibration : Calibration
+        Calibration of the instrument that looks at the scene.
+    frames : int
+        Number of exposures.
+    settings : SimulationSettings
+        Light level and imperfections of the instrument.
+    seed : int
+        Seed of the photon noise.
+    range_correction : bool
+        Whether reflectance is corrected for the distance of each pixel.
+    **layout : float, int or str
+        Options of the scene.
+
+    Returns
+    -------
+    Capture
+        Scene, truth, histogram and image.
+    """
     instrument = calibration.instrument
     scene = simulator.scene(name, instrument, **layout)
     histogram = simulator.simulate_histogram(
@@ -185,12 +298,25 @@ def capture(
 
 
 def scaled_row(paper_row: int, instrument: Instrument) -> int:
-    """The row of an instrument's image at the height of one of the paper's rows."""
+    """Row of an instrument's image at the same relative height as a row of the paper's sensor."""
     return paper_row * instrument.image_shape[0] // PAPER_ROWS
 
 
 def depth_row(capture: Capture, calibration: Calibration) -> DepthRow:
-    """Depth along a row of lit background against the truth and the bound (Fig. 6)."""
+    """Compare the depth along a row of lit background with the truth and the bound (Fig. 6).
+
+    Parameters
+    ----------
+    capture : Capture
+        Capture of the scene of Fig. 1.
+    calibration : Calibration
+        Calibration with which the image was reconstructed.
+
+    Returns
+    -------
+    DepthRow
+        Statistics over the usable pixels of the row that see the board.
+    """
     row = scaled_row(PROFILE_ROWS[0], calibration.instrument)
     depth = capture.image["depth"].values[row]
     truth, lit = capture.truth.depth[row], capture.truth.lit[row]
@@ -216,7 +342,22 @@ def depth_row(capture: Capture, calibration: Calibration) -> DepthRow:
 
 
 def range_series(instrument: Instrument, *, seed: int, steps: int = 25) -> RangeSeries:
-    """A single fast detector in front of a plane moved from 0.1 to 2.5 m (Fig. 9)."""
+    """Measure the distance of a plane moved from 0.1 to 2.5 m (Fig. 9).
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument with a single fast detector.
+    seed : int
+        Seed of the photon noise.
+    steps : int
+        Number of distances.
+
+    Returns
+    -------
+    RangeSeries
+        True and measured distances, and the bound.
+    """
     settings = simulator.SimulationSettings.ideal(white_detections=RANGE_DETECTIONS)
     scene = simulator.scene("plane", instrument, distance=1.0)
     per_exposure = float(simulator.expected_rates(scene, instrument, settings).detections().mean())
@@ -229,7 +370,7 @@ def range_series(instrument: Instrument, *, seed: int, steps: int = 25) -> Range
     measured, bound = np.empty(steps), np.empty(steps)
     for number, distance in enumerate(truth):
         target = simulator.scene("plane", instrument, distance=float(distance))
-        # the same number of photons everywhere: it is the converter that is looked at
+        # the same number of photons at all distances, so that only the converter differs
         target_frames = max(1, int(frames * distance**2))
         counts = simulator.simulate_histogram(
             target, instrument, frames=target_frames, settings=settings, seed=seed + 1 + number
@@ -250,7 +391,26 @@ def wire_check(
     frames: int,
     seed: int,
 ) -> WireCheck:
-    """Frames drawn one by one, sent as packets, decoded and counted again."""
+    """Draw frames one by one, encode them as packets, decode these and compare the counts.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene in front of the camera.
+    instrument : Instrument
+        Instrument that looks at the scene.
+    settings : SimulationSettings
+        Light level and imperfections of the instrument.
+    frames : int
+        Number of frames.
+    seed : int
+        Seed of the photon noise.
+
+    Returns
+    -------
+    WireCheck
+        Whether the counts are equal, sizes and times.
+    """
     blocks = list(
         simulator.simulate_codes(scene, instrument, frames=frames, settings=settings, seed=seed)
     )

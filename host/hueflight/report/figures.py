@@ -1,4 +1,4 @@
-"""The pictures: each function draws one of the paper's figures from the findings."""
+"""Figures of the report: each function draws one of the paper's figures from the findings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hueflight.analysis import region_spectra
 from hueflight.calibration import Calibration
 from hueflight.color.display import three_band_rgb, wavelength_colour
 from hueflight.fit.correlation import correlate, peak_centroid
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.paper import search_bins
 from hueflight.report.experiments import (
     DISTANCES_ROW,
@@ -33,7 +34,7 @@ SPECTRUM_REGIONS = ("red brick", "green brick", "blue brick", "purple brick", "h
 
 
 def histograms_and_correlation(findings: Findings) -> Figure:
-    """Fig. 2: one pixel's reference and image histogram, and their cross-correlation."""
+    """Fig. 2: reference and image histograms of one pixel, and their cross-correlation."""
     calibration = findings.calibration
     row, col = example_pixel(findings)
     bins = calibration.bins
@@ -74,7 +75,7 @@ def histograms_and_correlation(findings: Findings) -> Figure:
 
 
 def band_windows(findings: Findings) -> Figure:
-    """Fig. 3: which bins belong to which LED, with the counts in each window."""
+    """Fig. 3: the window of bins that belongs to each LED, with its counts."""
     calibration = findings.calibration
     bins = calibration.bins
     row, col = example_pixel(findings)
@@ -106,7 +107,7 @@ def band_windows(findings: Findings) -> Figure:
 
 
 def reflectance_images(findings: Findings) -> Figure:
-    """Fig. 4(a–j): reflectance in every band and the three-band picture."""
+    """Fig. 4(a–j): reflectance in every band, and three bands as an RGB picture."""
     image, instrument = findings.main.image, findings.instrument
     aspect = pixel_aspect(instrument)
     count = len(instrument.bands)
@@ -132,7 +133,7 @@ def reflectance_images(findings: Findings) -> Figure:
 
 
 def spectra_of_regions(findings: Findings) -> Figure:
-    """Figs. 4(k) and 5: mean spectra of regions against the truth."""
+    """Figs. 4(k) and 5: mean spectra of regions with their true spectra."""
     capture, instrument = findings.main, findings.instrument
     regions = capture.truth.regions
     names = [name for name in SPECTRUM_REGIONS if name in regions and regions[name].any()]
@@ -160,7 +161,7 @@ def spectra_of_regions(findings: Findings) -> Figure:
 
 
 def depth_and_profiles(findings: Findings) -> Figure:
-    """Fig. 6: depth map and two row profiles against the truth."""
+    """Fig. 6: depth map, and depth along two rows with the true depth."""
     capture = findings.main
     aspect = pixel_aspect(findings.instrument)
     figure, ((left, right),) = panels(1, 2, width=10.5, height=3.6)
@@ -192,7 +193,7 @@ def depth_and_profiles(findings: Findings) -> Figure:
 
 
 def distances(findings: Findings) -> Figure:
-    """Fig. 7: the scene at 0.5, 1.0 and 1.5 m."""
+    """Fig. 7: depth of a wall and a board at 0.5, 1.0 and 1.5 m."""
     aspect = pixel_aspect(findings.instrument)
     captures = findings.distances
     figure, axes = panels(2, len(captures), width=11, height=5)
@@ -213,7 +214,7 @@ def distances(findings: Findings) -> Figure:
 
 
 def frame_numbers(findings: Findings) -> Figure:
-    """Fig. 8: the 445 nm image from fewer frames."""
+    """Fig. 8: reflectance at 445 nm from different numbers of frames."""
     aspect = pixel_aspect(findings.instrument)
     band = int(np.argmin(np.abs(findings.instrument.wavelengths_nm - 445)))
     figure, axes = panels(1, len(findings.frame_series), width=11, height=2.5)
@@ -225,7 +226,7 @@ def frame_numbers(findings: Findings) -> Figure:
 
 
 def ranging(findings: Findings) -> Figure:
-    """Fig. 9: range of a plane with 55 ps codes, and the residual."""
+    """Fig. 9: measured distance of a plane with codes of 55 ps, and the residual."""
     series = findings.ranging
     figure, (upper, lower) = panels(2, 1, width=7.5, height=4.4, sharex=True, height_ratios=[2, 1])
     upper[0].plot(series.truth, series.measured, "o", markersize=4, color=MEASURED["color"])
@@ -242,7 +243,7 @@ def ranging(findings: Findings) -> Figure:
 
 
 def scene_truth(findings: Findings) -> Figure:
-    """Fig. 1(b): what stands in front of the camera, and its true depth."""
+    """Fig. 1(b): the scene in front of the camera, and its true depth."""
     truth = findings.main.truth
     aspect = pixel_aspect(findings.instrument)
     bands = [int(np.argmin(np.abs(truth.wavelengths_nm - nm))) for nm in (623, 525, 445)]
@@ -257,7 +258,7 @@ def scene_truth(findings: Findings) -> Figure:
 
 
 def example_pixel(findings: Findings) -> tuple[int, int]:
-    """A good pixel of lit background in the row of the paper's Fig. 6."""
+    """Row and column of a usable pixel on the lit board, in a row of the paper's Fig. 6."""
     row = scaled_row(PROFILE_ROWS[0], findings.instrument)
     truth = findings.main.truth
     good = (
@@ -271,13 +272,14 @@ def example_pixel(findings: Findings) -> tuple[int, int]:
 
 
 def _depth_limits(capture: Capture) -> tuple[float, float]:
+    """Limits of a depth axis that leave some room around the true depths, m."""
     truth = capture.truth.depth
     return float(np.nanmin(truth)) - 0.05, float(np.nanmax(truth)) + 0.08
 
 
 def _delay_ns(findings: Findings, row: int, col: int) -> float:
-    """The pixel's delay against its reference, from its measured depth."""
+    """Delay of a pixel's light relative to its reference, from the measured depth, ns."""
     calibration: Calibration = findings.calibration
     along = float(findings.main.image["depth"].values[row, col]) - calibration.distance
     cosine = calibration.instrument.ray_cosine()[row, col]
-    return 2 * along / cosine / 0.299792458
+    return 2 * along / cosine / SPEED_OF_LIGHT_M_PER_NS

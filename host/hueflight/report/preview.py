@@ -1,4 +1,4 @@
-"""A picture of one image: depth beside the three-band colours."""
+"""Preview of an image: depth, and three bands as an RGB picture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,20 @@ from hueflight.report.style import DEPTH_MAP, panels, pixel_aspect, show_plane
 
 
 def draw_preview(image: xr.Dataset, instrument: Instrument) -> Figure:
-    """Depth with a colour bar and, where the image has light, the RGB picture."""
+    """Draw the depth with a colour bar and, next to it, three bands as an RGB picture.
+
+    Parameters
+    ----------
+    image : Dataset
+        Image with the variables `depth` and `reflectance`.
+    instrument : Instrument
+        Instrument whose pixel pitch gives the proportions of the picture.
+
+    Returns
+    -------
+    Figure
+        The drawing; without an RGB picture if no pixel has a reflectance.
+    """
     aspect = pixel_aspect(instrument)
     depth = image["depth"].values
     figure, ((left, right),) = panels(1, 2, width=10, height=3.4)

@@ -1,4 +1,4 @@
-"""One self-contained page and its pictures."""
+"""The report itself: a self-contained HTML page and its figures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,19 @@ from hueflight.report.style import SETTINGS
 
 @dataclass(frozen=True)
 class Section:
-    """One picture of the page: file name, the paper's figure, what it shows, how it is drawn."""
+    """A section of the page, with one figure.
+
+    Attributes
+    ----------
+    name : str
+        Name of the picture file without extension, and anchor in the page.
+    heading : str
+        Heading, with the number of the paper's figure.
+    text : str
+        What the figure shows.
+    draw : callable
+        Function that draws the figure from the findings.
+    """
 
     name: str
     heading: str
@@ -38,54 +50,57 @@ class Section:
 SECTIONS = (
     Section(
         "scene", "Fig. 1 · The scene",
-        "A background with coloured logos, a brick wall with a window 20 cm nearer, a horse 10 cm "
-        "nearer again. What the sensor sees but not every LED reaches lies in shadow.",
+        "A board with coloured logos, a brick wall with a window 20 cm in front of it, and a horse "
+        "another 10 cm in front of the wall. Surfaces that the sensor sees but that not every LED "
+        "reaches are in shadow.",
         figures.scene_truth,
     ),
     Section(
         "histograms", "Fig. 2 · Histograms and cross-correlation",
-        "One pixel's arrival times: nine pulses, one for each LED. The image comes later than the "
-        "reference at 0.40 m; the centroid of the correlation's middle peak says by how much.",
+        "Arrival times at one pixel: nine pulses, one for each LED. Light from the scene arrives "
+        "later than from the reference at 0.40 m; the centroid of the middle peak of the "
+        "correlation gives the delay.",
         figures.histograms_and_correlation,
     ),
     Section(
         "windows", "Fig. 3 · Band windows",
-        "The reference decides which bins belong to which LED; moved by the pixel's own delay "
-        "they give the counts of each band (eq. 2).",
+        "The reference determines which bins belong to which LED. Shifted by the delay of each "
+        "pixel, these windows give the counts of each band (eq. 2).",
         figures.band_windows,
     ),
     Section(
         "reflectance", "Fig. 4 · Reflectance in nine bands",
-        "Relative to a white sheet. Hot and dead pixels are left out (pink); only the RGB picture "
-        "fills them, for the eye.",
+        "Reflectance relative to a white sheet. Hot and dead pixels are left out (pink); only the "
+        "RGB picture fills them with values from their neighbours.",
         figures.reflectance_images,
     ),
     Section(
         "spectra", "Fig. 5 · Spectra of regions",
-        "Mean over each region with its standard error, beside the simulated truth. Equation (2) "
-        "subtracts neither background nor the feet of neighbouring pulses, so dark bands read too "
-        "high, as the paper found, and the weak amber LED most of all.",
+        "Mean over each region with its standard error, and the simulated truth. Equation (2) "
+        "subtracts neither the background nor the tails of neighbouring pulses. Dark bands "
+        "therefore appear too bright, as in the paper, most of all that of the weak amber LED.",
         figures.spectra_of_regions,
     ),
     Section(
         "depth", "Fig. 6 · Depth",
-        "Depth along the optical axis, and two rows of it against the truth. In the shadows "
-        "(ticks) few photons come back and depth gets uncertain or is left out.",
+        "Depth along the optical axis, and two rows of it with the truth. Few photons return from "
+        "shadows (ticks), where depth is uncertain or missing.",
         figures.depth_and_profiles,
     ),
     Section(
         "distances", "Fig. 7 · Other distances",
-        "A brick wall 20 cm before a board, the middle between them at 0.5, 1.0 and 1.5 m.",
+        "A brick wall 20 cm in front of a board, with the middle between them at 0.5, 1.0 and "
+        "1.5 m.",
         figures.distances,
     ),
     Section(
         "frames", "Fig. 8 · Fewer frames",
-        "The 445 nm band from 10, 100, 1000 and all frames.",
+        "Reflectance in the 445 nm band from 10, 100, 1000 and all frames.",
         figures.frame_numbers,
     ),
     Section(
         "ranging", "Fig. 9 · Finer codes",
-        "One fast detector with 55 ps codes in front of a plane that moves away.",
+        "A single fast detector with codes of 55 ps in front of a plane at increasing distances.",
         figures.ranging,
     ),
 )  # fmt: skip
@@ -99,14 +114,28 @@ def make_report(
     seed: int = 1,
     progress: Progress | None = None,
 ) -> dict[str, float]:
-    """Run the paper's experiments on the simulated instrument and write the report.
+    """Repeat the paper's experiments with the simulated instrument and write a report.
 
-    Writes `index.html` (self-contained), one PNG per figure and `figures.json` with the numbers
-    of the table into the folder `out`.
+    The report consists of `index.html` (self-contained), one PNG file per figure, and
+    `figures.json` with the numbers of the table.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for the report; it is created if it does not exist.
+    instrument : Instrument or None
+        Instrument to simulate; None for the preset `paper`.
+    frames : int
+        Number of exposures of the main captures and of the calibration.
+    seed : int
+        Seed of the imperfections and of the photon noise.
+    progress : Progress or None
+        Display of the progress; None for none.
 
     Returns
     -------
-    The numbers of the table, in the units that their names say.
+    dict of str to float
+        Numbers of the table by name; the end of a name gives the unit.
     """
     shown = progress or Silent()
     findings = run_all(
@@ -124,7 +153,7 @@ def make_report(
 
 
 def key_numbers(findings: Findings) -> dict[str, float]:
-    """What the table compares."""
+    """Numbers that the table of the report compares with the paper, by name."""
     row, ranging, wire = findings.background_row, findings.ranging, findings.wire
     return {
         "frames": findings.main.frames,
@@ -143,6 +172,7 @@ def key_numbers(findings: Findings) -> dict[str, float]:
 
 
 def _png(figure: Figure) -> bytes:
+    """Contents of a PNG file of a figure."""
     stream = io.BytesIO()
     with mpl.rc_context(SETTINGS):
         figure.savefig(stream, format="png", dpi=110)
@@ -150,6 +180,7 @@ def _png(figure: Figure) -> bytes:
 
 
 def _page(findings: Findings, numbers: dict[str, float], pictures: dict[str, bytes]) -> str:
+    """Whole HTML page, with the pictures embedded."""
     template = (resources.files("hueflight.report") / "page.html").read_text("utf-8")
     sections = "\n".join(
         f'<section id="{s.name}"><h2>{html.escape(s.heading)}</h2><p>{html.escape(s.text)}</p>'
@@ -163,16 +194,17 @@ def _page(findings: Findings, numbers: dict[str, float], pictures: dict[str, byt
         frames=findings.main.frames,
         table=_table(numbers),
         wire_words=(
-            f"{wire.frames} frames were drawn exposure by exposure, packed "
+            f"{wire.frames} frames were drawn exposure by exposure, encoded as packets "
             f"({wire.bytes_per_frame:,.0f} bytes each at occupancy {numbers['occupancy']:.2f}), "
-            f"decoded and counted again: {wire.photons:,} photons, "
-            + ("every counter equal." if wire.identical else "and counters DIFFER.")
+            f"and decoded again: {wire.photons:,} photons. "
+            + ("All counts are equal." if wire.identical else "The counts DIFFER.")
         ),
         sections=sections,
     )
 
 
 def _table(numbers: dict[str, float]) -> str:
+    """Rows of the HTML table that compares the numbers with the paper's."""
     rows = [
         (
             "Depth, background row 139",
@@ -180,8 +212,8 @@ def _table(numbers: dict[str, float]) -> str:
             f"{numbers['background_row_deviation_cm']:.2f} cm",
             f"{numbers['background_row_bound_cm']:.2f} cm",
             f"Standard deviation over the row at {numbers['frames']:,.0f} frames, "
-            f"{numbers['background_row_photons']:,.0f} signal photons a pixel. The paper's "
-            "figure is what about 300 photons would allow; it does not say how many arrived.",
+            f"{numbers['background_row_photons']:,.0f} signal photons per pixel. The paper's "
+            "value corresponds to about 300 photons; it does not state how many arrived.",
         ),
         (
             "Range, single pixel, 55 ps",
@@ -189,7 +221,7 @@ def _table(numbers: dict[str, float]) -> str:
             f"{numbers['ranging_deviation_cm']:.2f} cm",
             f"{numbers['ranging_bound_cm']:.2f} cm",
             "Standard deviation of the residual over distances from 0.1 to 2.5 m, about "
-            f"{RANGE_PHOTONS:,} photons each. The paper gives no photon numbers.",
+            f"{RANGE_PHOTONS:,} photons each. The paper does not state the number of photons.",
         ),
     ]
     return "\n".join(

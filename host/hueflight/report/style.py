@@ -1,4 +1,4 @@
-"""One look for all pictures of the report."""
+"""Common style of all figures of the report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hueflight.color.colormap import table
 
-#: of depth: perceptually uniform, readable without colour vision
+#: color map of depth: perceptually uniform, and readable without colour vision
 DEPTH_MAP = ListedColormap(table() / 255, name="hueflight")
 TRUTH = {"color": "0.15", "linewidth": 1.2, "linestyle": "--"}
 MEASURED = {"color": "#c2410c", "linewidth": 1.1}
@@ -44,7 +44,24 @@ SETTINGS: Any = {
 def panels(
     rows: int = 1, cols: int = 1, *, width: float = 9.0, height: float = 3.2, **options: Any
 ) -> tuple[Figure, NDArray[Any]]:
-    """A figure and its axes as an array (rows, cols)."""
+    """Make a figure with a grid of axes in the style of the report.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Number of rows and columns of the grid.
+    width, height : float
+        Size of the figure, inches.
+    **options : Any
+        Further arguments of `matplotlib.figure.Figure.subplots`.
+
+    Returns
+    -------
+    figure : Figure
+        The figure.
+    axes : ndarray of Axes, shape (rows, cols)
+        Its axes.
+    """
     with mpl.rc_context(SETTINGS):
         figure = Figure(figsize=(width, height), layout="constrained")
         axes = figure.subplots(rows, cols, squeeze=False, **options)
@@ -60,7 +77,28 @@ def show_plane(
     limits: tuple[float, float] | None = None,
     colours: str | Colormap = "gray",
 ) -> AxesImage:
-    """One (row, col) plane with square world proportions; missing pixels in a quiet tone."""
+    """Show a plane of an image in true proportions, with missing pixels in pale pink.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes to draw into.
+    plane : ndarray of float, shape (row, col)
+        Values to show; NaN where a pixel is missing.
+    aspect : float
+        Height of a pixel divided by its width.
+    title : str
+        Title of the axes.
+    limits : tuple of float or None
+        Values at the ends of the color map; None for the range of the plane.
+    colours : str or Colormap
+        Color map.
+
+    Returns
+    -------
+    AxesImage
+        The picture, to which a colour bar can refer.
+    """
     colour_map = mpl.colormaps.get_cmap(colours).with_extremes(bad="#d8b4b4")
     low, high = limits if limits else (None, None)
     shown = axes.imshow(
@@ -80,7 +118,7 @@ def show_plane(
 
 
 def pixel_aspect(instrument: Any) -> float:
-    """Height of a pixel over its width, 1 where the pitch is not known."""
+    """Height of a pixel divided by its width; 1 if the pitch is unknown."""
     sensor = instrument.sensor
     if sensor.pixel_width_um and sensor.pixel_height_um:
         return sensor.pixel_height_um / sensor.pixel_width_um
@@ -88,7 +126,7 @@ def pixel_aspect(instrument: Any) -> float:
 
 
 def label_lines(axes: Axes, x: str, y: str, *, legend: bool | Sequence[str] = True) -> None:
-    """Axis labels with units, and a legend if wanted."""
+    """Label both axes, and add a legend unless `legend` is False."""
     axes.set_xlabel(x)
     axes.set_ylabel(y)
     if legend:

@@ -23,9 +23,8 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.reconstruction.interleaved import (
         reconstruct_interleaved as reconstruct_alternated,
     )
-    from hueflight.reconstruction.packets import reconstruct_packets
     from hueflight.reconstruction.quality import Quality
-    from hueflight.reconstruction.reconstruct import reconstruct
+    from hueflight.reconstruction.reconstruct import reconstruct, reconstruct_packets
     from hueflight.reconstruction.uncertainty import reflectance_interval
     from hueflight.recording import open_recording
 
@@ -52,7 +51,7 @@ _HOME = {
     "reconstruct_file": "hueflight.batch",
     "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
     "reconstruct_many": "hueflight.batch",
-    "reconstruct_packets": "hueflight.reconstruction.packets",
+    "reconstruct_packets": "hueflight.reconstruction.reconstruct",
     "reflectance_bound": "hueflight.reconstruction.bounds",
     "reflectance_interval": "hueflight.reconstruction.uncertainty",
     "write_counts": "hueflight.importers.captures",

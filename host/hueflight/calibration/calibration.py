@@ -23,11 +23,13 @@ from hueflight.calibration.store import (
 from hueflight.errors import CalibrationError, InstrumentError
 from hueflight.model.emission import Emission
 from hueflight.model.instrument import Instrument
+from hueflight.model.pileup import lost_photons_factor
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.waveforms import Templates
 
 PIXEL_PLANES = ("pixel_delay_ns", "pixel_delay_std_ns", "flat_field", "dead", "hot")
 BAND_VECTORS = ("gain", "brightness")
+FEWEST_EXPOSURES = 1e-30  #: fewer are none
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +110,42 @@ class Calibration:
     def half_width_bins(self) -> float:
         """Half the width of the window of the correlation's centroid, bins."""
         return centroid_half_width_bins(self.instrument)
+
+    def photon_scale(
+        self,
+        photons: NDArray[np.float64],
+        exposures: NDArray[np.float64] | None,
+        *,
+        pileup_correction: bool,
+    ) -> NDArray[np.float64]:
+        """Return the factor from a pixel's photons to photons per exposure of an average pixel.
+
+        Times the gain of a band it makes reflectance.
+
+        Parameters
+        ----------
+        photons : ndarray of float, shape (row, col)
+            Counts of each pixel.
+        exposures : ndarray of float, shape (row, col), or None
+            Exposures behind them; None to assume as many as the reference had.
+        pileup_correction : bool
+            Undo the loss of photons after the first one of an exposure.
+
+        Returns
+        -------
+        ndarray of float, shape (row, col)
+            The factor; NaN without exposures.
+        """
+        if exposures is None or self.frames is None:
+            return 1 / self.flat_field
+        # weighted counts may come near 0, where the factor is not known
+        known = np.where(exposures > FEWEST_EXPOSURES, exposures, np.nan)
+        scale = 1 / (self.flat_field * known)
+        if pileup_correction:
+            return scale * lost_photons_factor(photons, exposures)
+        # the calibration is in photons that arrived: take the loss back
+        reference = self.reference.sum(axis=-1, dtype=np.float64)
+        return scale * lost_photons_factor(reference, self.frames)
 
     def require(self, instrument: Instrument) -> None:
         """Check that counts of an instrument can be reconstructed with this calibration.

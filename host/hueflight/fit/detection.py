@@ -8,40 +8,14 @@ photons from ten to a hundred thousand, and its upper tail falls by a factor e w
 
 from __future__ import annotations
 
-from math import log
-
 import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.fit.tables import ModelTables, by_phase
 
-FALSE_ALARM_RATE = 1e-3  #: probability that background alone passes for a surface
-THRESHOLD = 28.0  #: of twice the log-likelihood ratio, for that rate and the range below
-THRESHOLD_RANGE_NS = 28.0  #: searched range that the threshold was measured for
 BACKGROUND_SHARE = 0.02  #: share of all counts that background has at least
 CERTAIN_PHOTONS = 100.0  #: a delay that is known as well as by so many photons of a white target
 #: without background can't come from background alone, and is not tested
-
-
-def threshold(
-    search_ns: tuple[float, float], *, false_alarm_rate: float = FALSE_ALARM_RATE
-) -> float:
-    """Least value of twice the log-likelihood ratio that counts as a surface.
-
-    Parameters
-    ----------
-    search_ns : tuple of float
-        Least and greatest delay that was searched, ns.
-    false_alarm_rate : float, optional
-        Probability that a pixel with background alone exceeds it.
-
-    Returns
-    -------
-    float
-        The threshold: wider searches try more delays.
-    """
-    tries = max(search_ns[1] - search_ns[0], 1.0) / THRESHOLD_RANGE_NS
-    return THRESHOLD + 2 * log(tries) + 2 * log(FALSE_ALARM_RATE / false_alarm_rate)
 
 
 def log_likelihood_ratio(

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import ceil, floor
+from math import ceil, floor, log
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.model.time_bins import TimeBins
+from hueflight.model.undersampling import is_resolved
 from hueflight.model.waveforms import Templates
 
 PHASES_PER_FWHM = 50  #: delays in a table; the fit is linear between them
@@ -26,6 +27,9 @@ RATIOS = (3.0, 15.0, 75.0)  #: peak of a band over background that the first sea
 BACKGROUND_SHARES = (0.05, 0.2, 0.5)  #: share of background among all counts that it tries
 CROP = 1e-7  #: a share below this part of a band's highest is taken for 0
 ZONE_FLOOR = 0.02  #: a band's zone ends where its share falls to this part of the highest
+FALSE_ALARM_RATE = 1e-3  #: probability that background alone passes for a surface
+DETECTION_THRESHOLD = 28.0  #: of twice the log-likelihood ratio, for that rate and the range below
+DETECTION_RANGE_NS = 28.0  #: searched range that the threshold was measured for
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +181,8 @@ class ModelTables:
         Standard deviation of the delay of a white target that one photon tells.
     views : tuple of ScheduleView
         Schedules that the tables are for.
+    resolved : bool
+        Whether the bins resolve the shortest pulse.
     """
 
     search: SearchTables
@@ -187,11 +193,33 @@ class ModelTables:
     search_ns: tuple[float, float]
     spread_ns: float
     views: tuple[ScheduleView, ...]
+    resolved: bool
 
     @property
     def bands(self) -> int:
         """Number of bands."""
         return self.fine.shares.shape[1]
+
+
+def detection_threshold(
+    search_ns: tuple[float, float], *, false_alarm_rate: float = FALSE_ALARM_RATE
+) -> float:
+    """Return the least detection ratio that counts as a surface; see `detection`.
+
+    Parameters
+    ----------
+    search_ns : tuple of float
+        Least and greatest delay that was searched, ns.
+    false_alarm_rate : float, optional
+        Probability that a pixel with background alone exceeds it.
+
+    Returns
+    -------
+    float
+        The threshold: wider searches try more delays.
+    """
+    tries = max(search_ns[1] - search_ns[0], 1.0) / DETECTION_RANGE_NS
+    return DETECTION_THRESHOLD + 2 * log(tries) + 2 * log(FALSE_ALARM_RATE / false_alarm_rate)
 
 
 def make_tables(
@@ -245,6 +273,7 @@ def make_tables(
         search_ns=search_ns,
         spread_ns=_spread(fine_level, white),
         views=tuple(views),
+        resolved=all(is_resolved(shortest_fwhm_ns, view.bins) for view in views),
     )
 
 

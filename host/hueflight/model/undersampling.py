@@ -13,10 +13,22 @@ from hueflight.model.time_bins import TimeBins
 RESOLVED_BINS_PER_FWHM = 4.0  #: with fewer, waveforms between bins are not known well enough
 
 
-def is_resolved(instrument: Instrument, bins: TimeBins) -> bool:
-    """Whether the shortest pulse is wide enough for the bins."""
-    shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
-    return shortest_ns >= RESOLVED_BINS_PER_FWHM * bins.span_ns / bins.count
+def is_resolved(shortest_fwhm_ns: float, bins: TimeBins) -> bool:
+    """Return whether the shortest pulse is wide enough for the bins.
+
+    Parameters
+    ----------
+    shortest_fwhm_ns : float
+        Full width at half maximum of the shortest pulse, ns.
+    bins : TimeBins
+        Time bins of the sensor.
+
+    Returns
+    -------
+    bool
+        True from four bins in the full width on.
+    """
+    return shortest_fwhm_ns >= RESOLVED_BINS_PER_FWHM * bins.span_ns / bins.count
 
 
 def smooth_undersampled(
@@ -28,7 +40,7 @@ def smooth_undersampled(
     guess. The average is the same for the reference and the scene, so it cancels; it costs a
     little of the photons' information and frees the result from the bins' raster.
     """
-    if is_resolved(instrument, bins):
+    if is_resolved(min(band.pulse_fwhm_ns for band in instrument.bands), bins):
         return light
     wide = np.asarray(light, np.float32)
     before, after = np.roll(wide, 1, axis=-1), np.roll(wide, -1, axis=-1)

@@ -12,18 +12,21 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.fit.detection import threshold
 from hueflight.fit.reference import Fit
 from hueflight.fit.solver import fit_pixels, photon_sums
-from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
+from hueflight.fit.tables import (
+    ModelTables,
+    ScheduleView,
+    detection_threshold,
+    make_tables,
+)
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
-from hueflight.model.undersampling import is_resolved, smooth_undersampled
+from hueflight.model.undersampling import smooth_undersampled
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import DEFAULT_SKIPS, EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.reflectance import reflectance_scale
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
@@ -231,7 +234,7 @@ def fit_chosen(
     if frames is not None:
         rates = photons_per_period(photons[chosen], frames[chosen], instrument)
     switches = skips.of_fit(calibration)
-    if is_resolved(instrument, calibration.bins):
+    if tables.resolved:
         options = {"pixels": pixels, "per_period": rates, "threads": threads}
         return fit_pixels(light, delays_ns, tables, switches, **options)
     seen = smooth_undersampled(
@@ -282,7 +285,7 @@ def in_metres(
     everywhere = bool(chosen.all())
     blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
     low_signal = ~(found.delay_std_ns < blind_ns)
-    no_return = found.detection < threshold(search_ns)
+    no_return = found.detection < detection_threshold(search_ns)
     along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
     behind = calibration.distance + found.delay_ns * along_axis[chosen] <= 0
     low_ns, high_ns = search_ns[0] + LIMIT_NS, search_ns[1] - LIMIT_NS
@@ -313,7 +316,7 @@ def in_metres(
         Quality.AMBIGUOUS: np.isfinite(found.other_ns) & ~unknown,
     }
     quality = _quality(calibration, chosen, flags)
-    scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
+    scale = calibration.photon_scale(photons, frames, pileup_correction=pileup_correction)
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
     if range_correction:

@@ -23,7 +23,6 @@ from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.paper_kernel import Measured, Search, measure
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.reflectance import reflectance_scale
 
 TILE_PIXELS = 512  #: pixels correlated at once: their spectra stay in the cache
 
@@ -95,7 +94,7 @@ def estimate(
     for plane in (depth, depth_std, *sums):
         plane[low_signal] = np.nan
 
-    scale = reflectance_scale(known, frames, calibration, pileup_correction=pileup_correction)
+    scale = calibration.photon_scale(known, frames, pileup_correction=pileup_correction)
     if range_correction:
         scale = scale * np.square(_range_ratio(depth, calibration))
     gain = calibration.gain[:, None, None] * scale

@@ -1,4 +1,4 @@
-"""The entry point of reconstruction: a histogram and a calibration in, an image out."""
+"""The entry points of reconstruction: a histogram or packets in, an image out."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from hueflight.calibration import Calibration
+from hueflight.errors import HistogramError
+from hueflight.ingest import IngestReport, accumulate
+from hueflight.ingest.accumulator import Counts
+from hueflight.ingest.kernels import Buffer
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.inputs import prepare_histogram
 from hueflight.reconstruction.methods import METHODS, check_options, find_method
@@ -22,7 +26,7 @@ from hueflight.reconstruction.options import (
 )
 from hueflight.reconstruction.quality import Quality
 
-__all__ = ["METHODS", "reconstruct"]
+__all__ = ["METHODS", "reconstruct", "reconstruct_packets"]
 
 
 def reconstruct(
@@ -107,3 +111,66 @@ def reconstruct(
     leave_out(estimates, ~wanted)
     image = as_image(estimates, calibration, method=method)
     return image if bands is None else image.isel(band=numbers)
+
+
+def reconstruct_packets(
+    packets: Buffer,
+    calibration: Calibration,
+    /,
+    *,
+    out: Counts | None = None,
+    depth_range: tuple[float, float] | None = None,
+    pileup_correction: bool = True,
+    skips: Skips = DEFAULT_SKIPS,
+    threads: int = 1,
+) -> tuple[xr.Dataset, IngestReport]:
+    """Reconstruct depth and reflectance in every band from a stream of packets, by the joint fit.
+
+    Parameters
+    ----------
+    packets : bytes-like
+        Whole packets of frames; damage is skipped and reported.
+    calibration : Calibration
+        Calibration of the same instrument.
+    out : ndarray of uint16 or uint32, shape (row, col, code), optional
+        Working memory for the counts, which is cleared first. Reusing it saves the time that new
+        memory takes.
+    depth_range : tuple of float, optional
+        Nearest and farthest depth to search, m; see `reconstruct`.
+    pileup_correction : bool
+        Undo the loss of later photons of an exposure.
+    skips : Skips
+        What the fit may leave out.
+    threads : int
+        Threads that share the pixels, first of counting, then of fitting.
+
+    Returns
+    -------
+    image : Dataset
+        Image as `reconstruct` gives it.
+    report : IngestReport
+        Frames that were counted, and damage.
+
+    Raises
+    ------
+    IngestError
+        If frames have another geometry than the instrument.
+    HistogramError
+        If there is no frame, or `out` does not fit the instrument.
+    """
+    if out is not None:
+        out.fill(0)
+    counts, report = accumulate(packets, calibration.instrument, out=out, threads=threads)
+    if not report.frames:
+        raise HistogramError(
+            "the packets hold not one frame: check that the capture ran and the file is whole"
+        )
+    image = reconstruct(
+        counts,
+        calibration,
+        depth_range=depth_range,
+        pileup_correction=pileup_correction,
+        skips=skips,
+        threads=threads,
+    )
+    return image, report

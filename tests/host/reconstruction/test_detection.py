@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.fit.detection import threshold
 from hueflight.fit.solver import fit_pixels
+from hueflight.fit.tables import detection_threshold
 from hueflight.reconstruction.joint import search_range_ns, tables_for_calibration
 from hueflight.reconstruction.quality import Quality
 
@@ -60,9 +60,9 @@ def test_bright_surfaces_carry_no_flag(instrument, calibration, draw) -> None:
 
 
 def test_a_wider_search_needs_more_evidence() -> None:
-    assert threshold((-14, 14)) == pytest.approx(28)
-    assert threshold((-28, 28)) == pytest.approx(28 + 2 * np.log(2))
-    assert threshold((-14, 14), false_alarm_rate=1e-4) > threshold((-14, 14))
+    assert detection_threshold((-14, 14)) == pytest.approx(28)
+    assert detection_threshold((-28, 28)) == pytest.approx(28 + 2 * np.log(2))
+    assert detection_threshold((-14, 14), false_alarm_rate=1e-4) > detection_threshold((-14, 14))
 
 
 def test_compiled_and_reference_ratios_agree(

@@ -47,7 +47,6 @@ from hueflight.reconstruction.pooled.kernels import (
 )
 from hueflight.reconstruction.pooled.tables import Tables, tables_for
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.reflectance import reflectance_scale
 
 LAG_PER_FWHM = 0.28  #: between delays of the pilot, in pulses of the shortest band
 PILOT_PHOTONS = 300.0  #: in the square of the pilot
@@ -357,7 +356,7 @@ def _in_metres(
     unmixed = unmixed_of(pools.windows, tables.unmixing)
     variance = unmixed_of(pools.windows, tables.unmixing**2) / np.maximum(pools.pixels, 1e-12)
     photons = pools.windows.sum(axis=0).astype(np.float64)
-    scale = reflectance_scale(photons, frames, calibration, pileup_correction=pileup_correction)
+    scale = calibration.photon_scale(photons, frames, pileup_correction=pileup_correction)
     if range_correction:
         ratio = depth / calibration.distance if calibration.distance > 0 else np.nan * depth
         scale = scale * ratio**2

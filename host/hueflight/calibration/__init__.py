@@ -1,4 +1,8 @@
-"""Calibration: windows, waveforms, gains, delays and defects of one instrument."""
+"""Calibration: what an instrument's description can't state, measured from a known target.
+
+`calibrate` turns captures of a flat target into a `Calibration`: pulse windows, waveforms, gains,
+the delay of each pixel and its defects.
+"""
 
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.procedure import calibrate, measured_widths

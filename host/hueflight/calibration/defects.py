@@ -11,7 +11,18 @@ HOT_DARK_FACTOR = 50.0  #: a pixel with this many times the median's dark counts
 
 
 def find_dead(photons: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Pixels that see (nearly) nothing of an evenly lit target; photons (row, col)."""
+    """Find pixels that detect (nearly) nothing of a target.
+
+    Parameters
+    ----------
+    photons : ndarray of float, shape (row, col)
+        Photons of each pixel.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, col)
+        True where a pixel has less than `DEAD_SHARE` of the median of all pixels that detected any.
+    """
     lit = photons[photons > 0]
     if not lit.size:
         return np.ones(photons.shape, dtype=bool)
@@ -21,17 +32,25 @@ def find_dead(photons: NDArray[np.floating]) -> NDArray[np.bool_]:
 def find_hot(
     light: NDArray[np.floating], pooled: NDArray[np.floating], dead: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Pixels that fire whatever the LEDs do.
+    """Find pixels that fire independently of the LEDs.
 
-    Such a pixel's histogram does not follow the pulse train: its correlation coefficient with
-    the pooled train is far below the other pixels'. Brightness alone would not do, for the
+    Such a pixel's histogram does not follow the pulse train: its correlation coefficient with the
+    pooled train is far below that of the other pixels. Brightness is no criterion, because the
     target may be lit unevenly.
 
     Parameters
     ----------
-    light : (row, col, bin) counts of the reference in time order, aligned to `pooled`.
-    pooled : (bin,) counts of all pixels.
-    dead : (row, col), left out.
+    light : ndarray of float, shape (row, col, bin)
+        Counts of the reference in time order, aligned to `pooled`.
+    pooled : ndarray of float, shape (bin,)
+        Counts of all pixels together.
+    dead : ndarray of bool, shape (row, col)
+        Dead pixels, which are left out.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, col)
+        True for a hot pixel.
     """
     shape = pooled - pooled.mean()
     centred = light @ shape  # the mean of `light` falls out: shape sums to 0
@@ -48,10 +67,22 @@ def find_hot(
 def find_hot_in_dark(
     photons: NDArray[np.floating], frames: NDArray[np.floating]
 ) -> NDArray[np.bool_]:
-    """Pixels whose dark counts per frame exceed fifty times the median; both (row, col).
+    """Find pixels whose dark counts per frame exceed `HOT_DARK_FACTOR` times the median.
 
-    The threshold has a floor of ten photons, so that a short dark capture with mostly empty
-    pixels condemns none by chance.
+    A pixel needs at least ten photons to be called hot, so that a short dark capture with mostly
+    empty pixels marks none by chance.
+
+    Parameters
+    ----------
+    photons : ndarray of float, shape (row, col)
+        Photons of each pixel in a capture with the LEDs off.
+    frames : ndarray of float, shape (row, col)
+        Exposures behind them.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, col)
+        True for a hot pixel.
     """
     rate = photons / frames
     return (rate > HOT_DARK_FACTOR * np.median(rate)) & (photons >= 10)

@@ -1,4 +1,4 @@
-"""Each pixel's delay against all others, from a capture of a flat target."""
+"""Delay of each pixel relative to all others, from a capture of a flat target."""
 
 from __future__ import annotations
 
@@ -20,10 +20,21 @@ CENTROID_HALF_WIDTH = 0.9  #: half the centroid's window per FWHM of the pulses;
 
 
 def centroid_half_width_bins(instrument: Instrument) -> float:
-    """Half the window of a correlation peak's centroid: as wide as pulses, within the train.
+    """Choose half the width of the window in which a correlation peak's centroid is computed.
 
-    10 ns for the paper's pulses. Wider windows take in background and the neighbours' feet,
-    narrower ones leave light out.
+    The window is about as wide as the base of a pulse, but does not reach beyond the middle between
+    two pulses: 10 ns to either side for the paper's. Wider windows include background and the tails
+    of the neighbours, narrower ones leave light out.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose pulses are correlated.
+
+    Returns
+    -------
+    float
+        Half the width, in bins.
     """
     fwhm_ns = float(np.median([band.pulse_fwhm_ns for band in instrument.bands]))
     widest_ns = min(CENTROID_HALF_WIDTH * fwhm_ns, instrument.half_spacing_ns())
@@ -33,9 +44,30 @@ def centroid_half_width_bins(instrument: Instrument) -> float:
 def align(
     light: NDArray[np.float32], instrument: Instrument, bins: TimeBins, dead: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Pooled train (bin,), each pixel's delay against it in bins (row, col), and hot pixels.
+    """Pool the light of all pixels, with the delay of each pixel undone.
 
-    Twice: the first pool is blurred by the pixels' delays and holds the hot pixels' light.
+    Everything is computed twice, because the first pool is blurred by the pixels' delays and holds
+    the light of hot pixels.
+
+    Parameters
+    ----------
+    light : ndarray of float32, shape (row, col, bin)
+        Counts of the reference in time order.
+    instrument : Instrument
+        Instrument that made them.
+    bins : TimeBins
+        Bins of the counts.
+    dead : ndarray of bool, shape (row, col)
+        Dead pixels, which are left out.
+
+    Returns
+    -------
+    pooled : ndarray of float, shape (bin,)
+        Counts of all good pixels together.
+    delay : ndarray of float, shape (row, col)
+        Delay of each pixel relative to the pool, in bins; 0 for dead and hot pixels.
+    hot : ndarray of bool, shape (row, col)
+        Pixels that do not follow the pulse train.
     """
     half_spacing = min(instrument.half_spacing_ns(), bins.span_ns / 4)
     search = max(1, int(half_spacing / instrument.sensor.bin_width_ns))
@@ -68,9 +100,31 @@ def refined_delays(
     instrument: Instrument,
     bins: TimeBins,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Each pixel's delay (row, col) by maximum likelihood, freed from noise, and its deviation.
+    """Estimate each pixel's delay by maximum likelihood, then shrink the estimates to reduce noise.
 
-    A reference's noise would otherwise be part of every depth measured against it.
+    The noise of the reference would otherwise be part of every depth that is measured against it.
+
+    Parameters
+    ----------
+    light : ndarray of float32, shape (row, col, bin)
+        Counts of the reference in time order.
+    delay_ns : ndarray of float, shape (row, col)
+        First estimate of the delays, ns.
+    usable : ndarray of bool, shape (row, col)
+        Pixels that are neither dead nor hot.
+    templates : Templates
+        Waveforms of all bands.
+    instrument : Instrument
+        Instrument that made the counts.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    delay_ns : ndarray of float, shape (row, col)
+        Delays with median 0, ns; 0 for pixels that are not usable.
+    delay_std_ns : ndarray of float, shape (row, col)
+        Their standard deviation, ns.
     """
     shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
     plan = make_tables(

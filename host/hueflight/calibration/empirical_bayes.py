@@ -1,8 +1,8 @@
-"""A quantity of each pixel, freed from the noise of its measurement.
+"""Empirical-Bayes estimates of a quantity of each pixel.
 
-What is measured per pixel is noisier than what is measured over all. Rows, columns and pixels
-each get as much of their own deviation as exceeds the noise: the linear empirical-Bayes
-estimate of a hierarchical model (Efron & Morris, JASA 70, 311, 1975).
+A value measured in one pixel is noisier than a mean over many. Rows, columns and pixels each keep
+as much of their own deviation as exceeds the noise: the linear empirical-Bayes estimate of a
+hierarchical model (Efron and Morris, JASA 70, 311, 1975).
 """
 
 from __future__ import annotations
@@ -14,12 +14,23 @@ from numpy.typing import NDArray
 def shrink_to_line_means(
     values: NDArray[np.floating], variance: NDArray[np.floating], usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Best guess of each pixel's true value, and the variance that is left.
+    """Estimate each pixel's true value from its measured value, its row, its column and the mean.
 
     Parameters
     ----------
-    values : (row, col) measured; variance : (row, col) of the measurement.
-    usable : (row, col) pixels that count; the others get the guess from row and column.
+    values : ndarray of float, shape (row, col)
+        Measured values.
+    variance : ndarray of float, shape (row, col)
+        Variances of the measurement.
+    usable : ndarray of bool, shape (row, col)
+        Pixels that count; the others get an estimate from their row and column.
+
+    Returns
+    -------
+    best : ndarray of float, shape (row, col)
+        Estimates.
+    left : ndarray of float, shape (row, col)
+        Their variances.
     """
     weight = np.where(usable, 1 / np.where(usable, variance, 1.0), 0.0)
     known = np.where(usable, values, 0.0)
@@ -28,8 +39,8 @@ def shrink_to_line_means(
     guess = np.full(values.shape, center)
     unsure = np.zeros(values.shape)
     for axis in (1, 0):  # what a row has in common, then a column
-        line, doubt = _line_effect(rest, weight, axis)
-        guess, unsure = guess + line, unsure + doubt
+        line, line_variance = _line_effect(rest, weight, axis)
+        guess, unsure = guess + line, unsure + line_variance
         rest = np.where(usable, rest - line, 0.0)
     noise = 1 / np.where(usable, weight, 1.0)
     own = _excess_variance(rest[usable] ** 2 - noise[usable], weight[usable])

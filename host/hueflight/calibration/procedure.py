@@ -1,4 +1,4 @@
-"""From captures of a known flat target to everything that reconstruction needs to know."""
+"""The calibration procedure: from captures of a known flat target to a `Calibration`."""
 
 from __future__ import annotations
 
@@ -46,29 +46,78 @@ def calibrate(
     frames: ArrayLike | None = None,
     emission: Emission | None = None,
 ) -> Calibration:
-    """Calibration from captures of a flat target of known distance and reflectance.
+    """Calibrate an instrument from captures of a flat target of known distance and reflectance.
+
+    Put a flat, matt target in front of the camera, perpendicular to the optical axis, let it fill
+    the image, measure its distance with a tape measure, and record it with all LEDs on: this is
+    `reference`, all that is required. Everything else improves the result: one capture per LED is the best addition
+    where pulses overlap; a capture in the dark finds more hot pixels; a capture under steady light
+    measures the widths of the bins; measured emission spectra make colours more accurate.
 
     Parameters
     ----------
-    reference : (row, col, code) counts of the target, all LEDs on.
-    instrument : what made them.
-    distance : of the target from the camera, m.
-    bands : (band, row, col, code) the same target with one LED at a time, of any length;
-        without it the waveforms are separated from `reference`, less surely where they overlap.
-    reflectance : (band,) known reflectance of the target (R_ref of eq. 3), default 1.
-    dark : (row, col, code) counts with the LEDs off, to find hot pixels.
-    flat : (row, col, code) counts under steady light, to measure the widths of the bins
-        (code density).
-    frames : exposures behind the reference; by default the sum over codes where the sensor
-        reports its empty exposures.
-    emission : measured spectra of the LEDs (`Emission.load`), for colours and spectra.
+    reference : array_like, shape (row, col, code)
+        Counts of the target with all LEDs on.
+    instrument : Instrument
+        The instrument that made all captures.
+    distance : float
+        Distance of the target from the camera along the optical axis, m.
+    bands : array_like or None, shape (band, row, col, code)
+        Counts of the same target with one LED on at a time, in the order of the instrument's bands;
+        each capture may have any length. Without it the waveforms are separated from `reference`,
+        with more uncertainty where pulses overlap.
+    reflectance : array_like or None
+        Known reflectance of the target (R_ref of the paper's eq. 3), one number or one for each
+        band; None for 1. All reflectances that are reconstructed later scale with it.
+    dark : array_like or None, shape (row, col, code)
+        Counts with the LEDs off, to find hot pixels.
+    flat : array_like or None, shape (row, col, code)
+        Counts under light that is steady in time, to measure the widths of the bins (code-density
+        test); at least 100 photons per bin over all pixels.
+    frames : array_like or None
+        Exposures behind `reference`, one number or an array (row, col); None to take the sum over
+        codes, where the sensor reports its empty exposures. Without this number photons that were
+        lost to pile-up can't be corrected.
+    emission : Emission or None
+        Measured spectra of the LEDs (`Emission.load`), for colours and spectra; None for those that
+        the instrument states.
+
+    Returns
+    -------
+    Calibration
+        What `hueflight.reconstruct` needs besides the counts. Keep it with `Calibration.save`: it
+        holds for every capture until the instrument or its settings change.
 
     Raises
     ------
     HistogramError
-        If a capture does not fit the instrument or is empty.
+        If a capture does not fit the instrument, or is empty.
     CalibrationError
-        If a capture does not show the pulses it should, or a number makes no sense.
+        If a capture does not show the pulses that it should, if every pixel is dead, hot or
+        saturated, or if a number makes no sense; the message says what to check.
+
+    See Also
+    --------
+    Calibration : The result, field by field.
+    measured_widths : The code-density test.
+
+    Notes
+    -----
+    Dead and hot pixels are found first. A correlation with the pooled pulse train then gives each
+    pixel's delay, which a maximum-likelihood fit refines and empirical Bayes frees from noise.
+    Windows grow from each pulse's peak (paper, section 2), and the sums in them give the gains α of
+    the paper's eq. 3 and the flat field. Waveforms are periodic splines fitted to all pixels
+    together. Losses to pile-up are corrected throughout (Coates, J. Phys. E 1, 878, 1968).
+
+    Examples
+    --------
+    >>> import hueflight as hf
+    >>> from hueflight.simulator import simulate_capture
+    >>> paper = hf.Instrument.load("paper")
+    >>> target = simulate_capture("reference", paper, frames=20_000, seed=1)
+    >>> calibration = hf.calibrate(target, paper, distance=0.40)
+    >>> calibration.gain.shape == (len(paper.bands),)
+    True
     """
     if not (np.isfinite(distance) and distance >= 0):
         raise CalibrationError(
@@ -154,10 +203,27 @@ def calibrate(
 
 
 def measured_widths(flat: NDArray[Any], bins: TimeBins) -> NDArray[np.float64]:
-    """Widths (bin,) in ns from counts (…, bin) under steady light: the code-density test.
+    """Measure the widths of the bins from counts under steady light (code-density test).
 
-    Under light that is flat in time a bin's share of the counts is its share of the period
+    Under light that is constant in time, a bin's share of the counts is its share of the period
     (IEEE Std 1241, histogram test).
+
+    Parameters
+    ----------
+    flat : ndarray, shape (..., bin)
+        Counts in time order; all pixels are added.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    ndarray of float, shape (bin,)
+        Widths, whose sum is the span of the bins, ns.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer than 100 photons per bin.
     """
     density = flat.reshape(-1, flat.shape[-1]).sum(axis=0, dtype=np.float64)
     if density.sum() < 100 * density.size:

@@ -1,4 +1,4 @@
-"""A train of pulse models laid over a reference, to share out light where pulses overlap."""
+"""A model of the whole pulse train, fitted to a reference to separate overlapping pulses."""
 
 from __future__ import annotations
 
@@ -49,17 +49,30 @@ def fit_pulse_train(
     instrument: Instrument,
     bins: TimeBins,
 ) -> tuple[list[tuple[int, Pulse]], float]:
-    """Exponentially modified Gaussians, as (band, pulse), and background per ns of a train.
+    """Fit exponentially modified Gaussians and a constant background to a pulse train.
 
     Parameters
     ----------
-    counts : (bin,) in time order.
-    windows : one for each pulse.
+    counts : ndarray of float, shape (bin,)
+        Counts in time order.
+    windows : tuple of PulseWindow
+        One window for each pulse.
+    instrument : Instrument
+        Instrument whose pulses are the first guess.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    pulses : list of (int, Pulse)
+        Band and fitted pulse for each window.
+    background : float
+        Background, counts per ns.
 
     Raises
     ------
     CalibrationError
-        If counts are not known, for pixels that saw a photon in each of their exposures.
+        If counts are unknown, because pixels recorded a photon in each of their exposures.
     """
     if not np.isfinite(counts).all():
         raise CalibrationError(

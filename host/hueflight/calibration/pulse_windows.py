@@ -22,7 +22,14 @@ LEAST_MODULATION = 0.2  #: share of the reference's light that must stand above 
 class PulseWindow:
     """Bins [start, stop) that hold one pulse of a band, in time order.
 
-    On a circle `start` may be negative or `stop` beyond the last bin: the window wraps.
+    Attributes
+    ----------
+    band : int
+        Index of the band.
+    start : int
+        First bin; negative where the window wraps around the start of the period.
+    stop : int
+        Bin after the last one; beyond the number of bins where the window wraps around the end.
     """
 
     band: int
@@ -33,7 +40,22 @@ class PulseWindow:
 def expected_train(
     instrument: Instrument, bins: TimeBins, *, distance: float
 ) -> NDArray[np.float64]:
-    """Share of each band's light per bin, (band, bin), from a flat target at `distance` m."""
+    """Compute the share of each band's light per bin that a flat target would return.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose nominal pulses are used.
+    bins : TimeBins
+        Bins of its counts.
+    distance : float
+        Distance of the target, m.
+
+    Returns
+    -------
+    ndarray of float, shape (band, bin)
+        Shares; over a whole period they sum to 1.
+    """
     delay_ns = 2 * distance / SPEED_OF_LIGHT_M_PER_NS
     edges_ns = bins.edges_ns - delay_ns
     return np.array(
@@ -49,21 +71,32 @@ def expected_train(
 def find_windows(
     pooled: NDArray[np.floating], instrument: Instrument, bins: TimeBins, *, distance: float
 ) -> tuple[PulseWindow, ...]:
-    """Windows of all pulses in a reference histogram.
+    """Find the windows of all pulses in a reference histogram.
 
-    The instrument's own pulse train is laid over the reference at every shift (the latency in
-    an instrument file need not be exact); from each pulse's peak a window grows until the
-    light has fallen to 2 % of it or rises again towards a neighbour.
+    The instrument's nominal pulse train is compared with the reference at every shift (the latency
+    in an instrument file need not be exact). From each pulse's peak a window grows until the light
+    has fallen to 2 % of the peak or rises again towards a neighbour.
 
     Parameters
     ----------
-    pooled : (bin,) counts of all good pixels together, in time order.
-    distance : of the reference target, m.
+    pooled : ndarray of float, shape (bin,)
+        Counts of all good pixels together, in time order.
+    instrument : Instrument
+        Instrument that made them.
+    bins : TimeBins
+        Bins of the counts.
+    distance : float
+        Distance of the reference target, m.
+
+    Returns
+    -------
+    tuple of PulseWindow
+        One window for each pulse, in the order of bands and delays. No two overlap.
 
     Raises
     ------
     CalibrationError
-        If the reference holds no pulse train.
+        If the reference holds no pulse train, or no light of one of the bands.
     """
     floor = float(np.quantile(pooled / bins.widths_ns, 0.05))
     light = np.maximum(pooled - floor * bins.widths_ns, 0)
@@ -126,9 +159,9 @@ def _pulse_peaks(
             if bins.period_ns is None:
                 near = near[(near >= 0) & (near < bins.count)]
             found = near[np.argmax(light[near % bins.count])] if near.size else middle
-            # highest where the search ends, it is only a neighbour's foot
-            foot = reach > 0 and near.size > 2 and found in (near[0], near[-1])
-            if not near.size or light[found % bins.count] <= 0 or foot:
+            # highest where the search ends, it is only a neighbour's tail
+            is_tail = reach > 0 and near.size > 2 and found in (near[0], near[-1])
+            if not near.size or light[found % bins.count] <= 0 or is_tail:
                 raise CalibrationError(
                     f"the reference shows no light of band {instrument.bands[band].name!r} near "
                     f"{time_ns:.0f} ns: check that LED and its delay in the instrument"
@@ -191,16 +224,25 @@ def window_sums(
     bands: int,
     circular: bool,
 ) -> NDArray[np.float64]:
-    """Counts in each band's windows moved by each pixel's own shift (paper, eq. 2).
+    """Sum the counts in each band's windows, moved by each pixel's own shift (paper, eq. 2).
 
     Parameters
     ----------
-    counts : (pixel, bin) in time order.
-    shift : (pixel,) whole bins; positive when the light comes later.
+    counts : ndarray, shape (pixel, bin)
+        Counts in time order.
+    windows : tuple of PulseWindow
+        Windows of all pulses.
+    shift : ndarray of int, shape (pixel,)
+        Whole bins by which the windows move; positive when the light arrives later.
+    bands : int
+        Number of bands.
+    circular : bool
+        True where windows wrap around the period; False to cut them off at the first and last bin.
 
     Returns
     -------
-    (band, pixel).
+    ndarray of float, shape (band, pixel)
+        Counts in the windows of each band.
     """
     pixels, count = counts.shape
     running = np.concatenate(

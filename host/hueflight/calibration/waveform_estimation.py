@@ -1,4 +1,4 @@
-"""Templates from captures: pooled over pixels, one LED at a time or separated from all at once."""
+"""Waveforms from captures: pooled over pixels, of one LED at a time or of all LEDs together."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ KNOTS_PER_FWHM = 12  #: of the shortest pulse; finer knots only fit noise
 DELAY_STEPS_PER_BIN = 8  #: pixels whose delays round to the same step are pooled
 TrainModel = tuple[list[tuple[int, Pulse]], float]  #: (band, pulse) of each, background per ns
 
-NOISE_MARGIN = 4.0  #: a waveform ends where it is this many standard deviations above nothing
+NOISE_MARGIN = 4.0  #: a waveform ends where it is this many standard deviations above 0
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,10 @@ class PooledCounts:
 
     Attributes
     ----------
-    counts : (group, bin) in time order.
-    offsets_ns : (group,) delay of each group.
+    counts : ndarray of float, shape (group, bin)
+        Counts in time order.
+    offsets_ns : ndarray of float, shape (group,)
+        Delay of each group, ns.
     """
 
     counts: NDArray[np.float64]
@@ -44,7 +46,24 @@ class PooledCounts:
         usable: NDArray[np.bool_],
         bins: TimeBins,
     ) -> PooledCounts:
-        """PooledCounts of the usable pixels of (row, col, bin) counts with delays (row, col)."""
+        """Pool the usable pixels of a capture.
+
+        Parameters
+        ----------
+        light : ndarray of float, shape (row, col, bin)
+            Counts in time order.
+        delay_ns : ndarray of float, shape (row, col)
+            Delay of each pixel, ns; rounded to an eighth of a bin.
+        usable : ndarray of bool, shape (row, col)
+            Pixels to pool.
+        bins : TimeBins
+            Bins of the counts.
+
+        Returns
+        -------
+        PooledCounts
+            One group for each delay that occurs.
+        """
         step_ns = bins.span_ns / bins.count / DELAY_STEPS_PER_BIN
         steps, group = np.unique(np.rint(delay_ns[usable] / step_ns), return_inverse=True)
         counts = np.zeros((steps.size, light.shape[-1]))
@@ -54,13 +73,39 @@ class PooledCounts:
         return cls(counts, steps * step_ns)
 
     def aligned(self, values: NDArray[np.float64], bins: TimeBins) -> NDArray[np.float64]:
-        """Sum (bin,) over the groups of `values` (group, bin), delays undone to whole bins."""
+        """Add values of all groups, with their delays undone to whole bins.
+
+        Parameters
+        ----------
+        values : ndarray of float, shape (group, bin)
+            Values such as `counts`.
+        bins : TimeBins
+            Bins of the values.
+
+        Returns
+        -------
+        ndarray of float, shape (bin,)
+            The sum.
+        """
         whole = np.rint(self.offsets_ns / (bins.span_ns / bins.count)).astype(int)
         return np.sum([np.roll(v, -s) for v, s in zip(values, whole, strict=True)], axis=0)
 
 
 def knots_for(instrument: Instrument, bins: TimeBins) -> int:
-    """Knots on the circle: about one a bin, or fewer where bins are finer than pulses need."""
+    """Choose the number of knots of the waveforms' splines.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose shortest pulse must be resolved.
+    bins : TimeBins
+        Bins of its counts.
+
+    Returns
+    -------
+    int
+        Knots on the circle: about one per bin, or fewer where bins are finer than pulses need.
+    """
     shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
     knot_ns = max(bins.span_ns / bins.count, shortest_ns / KNOTS_PER_FWHM)
     return max(8, round(circle_of(bins) / knot_ns))
@@ -74,7 +119,33 @@ def templates_from_bands(
     instrument: Instrument,
     bins: TimeBins,
 ) -> Templates:
-    """Templates from captures of one LED at a time, (band, row, col, bin) in time order."""
+    """Estimate waveforms from captures of one LED at a time.
+
+    Parameters
+    ----------
+    captures : ndarray of float, shape (band, row, col, bin)
+        Counts in time order.
+    delay_ns : ndarray of float, shape (row, col)
+        Delay of each pixel, ns.
+    usable : ndarray of bool, shape (row, col)
+        Pixels to use.
+    windows : tuple of PulseWindow
+        Windows of all pulses in the reference.
+    instrument : Instrument
+        Instrument that made the captures.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    Templates
+        One waveform for each band.
+
+    Raises
+    ------
+    CalibrationError
+        If a capture shows no light, or light outside the windows of its band.
+    """
     knots = knots_for(instrument, bins)
     coefficients = []
     for band, light in enumerate(captures):
@@ -95,7 +166,34 @@ def fit_overlapping_pulses(
     instrument: Instrument,
     bins: TimeBins,
 ) -> TrainModel:
-    """The model by which light with all LEDs on, (row, col, bin), is shared out among bands."""
+    """Fit the model by which the light of all LEDs together is divided among the bands.
+
+    Parameters
+    ----------
+    light : ndarray of float, shape (row, col, bin)
+        Counts of the reference in time order, all LEDs on.
+    delay_ns : ndarray of float, shape (row, col)
+        Delay of each pixel, ns.
+    usable : ndarray of bool, shape (row, col)
+        Pixels to use.
+    windows : tuple of PulseWindow
+        Windows of all pulses.
+    instrument : Instrument
+        Instrument that made the counts.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    TrainModel
+        Fitted pulses with their bands, and the background per ns. It has no pulses where there is a
+        single band, to which all light belongs.
+
+    Raises
+    ------
+    CalibrationError
+        If counts are unknown, because pixels recorded a photon in each of their exposures.
+    """
     pool = PooledCounts.of(light, delay_ns, usable, bins)
     if len(instrument.bands) == 1:
         return [], 0.0  # all light is the one band's
@@ -111,10 +209,37 @@ def templates_from_train(
     instrument: Instrument,
     bins: TimeBins,
 ) -> Templates:
-    """Templates from one capture with all LEDs, (row, col, bin) in time order.
+    """Estimate waveforms from one capture with all LEDs on.
 
-    Where pulses overlap, each bin's counts are shared out in the proportions of exponentially
-    modified Gaussians fitted to the whole train; elsewhere a band keeps what was measured.
+    Where pulses overlap, each bin's counts are divided in the proportions of exponentially modified
+    Gaussians fitted to the whole train; elsewhere a band keeps what was measured.
+
+    Parameters
+    ----------
+    light : ndarray of float, shape (row, col, bin)
+        Counts in time order.
+    delay_ns : ndarray of float, shape (row, col)
+        Delay of each pixel, ns.
+    usable : ndarray of bool, shape (row, col)
+        Pixels to use.
+    windows : tuple of PulseWindow
+        Windows of all pulses.
+    model : TrainModel
+        What `fit_overlapping_pulses` gave.
+    instrument : Instrument
+        Instrument that made the counts.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    Templates
+        One waveform for each band.
+
+    Raises
+    ------
+    CalibrationError
+        If a band shows no light above its background.
     """
     knots = knots_for(instrument, bins)
     pool = PooledCounts.of(light, delay_ns, usable, bins)
@@ -142,7 +267,26 @@ def brightness_of(
     templates: Templates,
     bins: TimeBins,
 ) -> NDArray[np.float64]:
-    """Photons of each band in an average usable pixel, (band,), background taken off."""
+    """Fit the photons of each band in an average usable pixel, without the background.
+
+    Parameters
+    ----------
+    light : ndarray of float, shape (row, col, bin)
+        Counts in time order, all LEDs on.
+    delay_ns : ndarray of float, shape (row, col)
+        Delay of each pixel, ns.
+    usable : ndarray of bool, shape (row, col)
+        Pixels to use.
+    templates : Templates
+        Waveforms of all bands.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    ndarray of float, shape (band,)
+        Photons per capture.
+    """
     pool = PooledCounts.of(light, delay_ns, usable, bins)
     flat = bins.widths_ns / bins.span_ns
     share = pool.counts.sum(axis=-1) / pool.counts.sum()

@@ -160,7 +160,7 @@ class SpectralModel:
         ----------
         off : (…, band) measured less 1; noise : (…, band) variance of it.
         """
-        answers, doubts, evidence = [], [], []
+        answers, variances, evidence = [], [], []
         correlation = self.correlation
         for size in VARIANCES:
             prior = size * correlation + LEVEL_VARIANCE
@@ -173,13 +173,13 @@ class SpectralModel:
             solved = np.linalg.solve(matrices, right)
             answers.append(np.einsum("bq,...b->...q", gain, solved[..., 0]))
             explained = np.einsum("bq,...bq->...q", gain, solved[..., 1:])
-            doubts.append(np.einsum("qn,nm,qm->q", query, prior, query) - explained)
+            variances.append(np.einsum("qn,nm,qm->q", query, prior, query) - explained)
             surprise = (off * solved[..., 0]).sum(axis=-1) + np.linalg.slogdet(matrices)[1]
             evidence.append(-surprise / 2)
         chance = np.exp(np.array(evidence) - np.max(evidence, axis=0))
         chance = (chance / chance.sum(axis=0))[..., None]
         mean = (chance * answers).sum(axis=0)
-        spread = np.maximum(doubts, 0) + (np.array(answers) - mean) ** 2
+        spread = np.maximum(variances, 0) + (np.array(answers) - mean) ** 2
         return mean, (chance * spread).sum(axis=0)
 
     def to_xyz(self, *, illuminant: Illuminant = "D65") -> NDArray[np.float64]:

@@ -23,9 +23,10 @@ class Emission:
     Attributes
     ----------
     wavelengths_nm : ndarray of float, shape (wavelength,)
-        Rising wavelengths, nm.
+        Wavelengths in ascending order, nm.
     power : ndarray of float, shape (band, wavelength)
-        Emitted power in the order of the instrument's bands.
+        Emitted power, in the order of the instrument's bands. Only its shape over wavelength
+        matters, so each row may have a scale of its own.
     """
 
     wavelengths_nm: NDArray[np.float64]
@@ -47,17 +48,43 @@ class Emission:
 
     @classmethod
     def nominal(cls, instrument: Instrument, /) -> Emission:
-        """From the peak and width that the instrument states for each band."""
+        """Compute spectra from the peak and width that the instrument states for each band.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument whose `Band.wavelength_nm` and `Band.emission_fwhm_nm` are used.
+
+        Returns
+        -------
+        Emission
+            One spectrum for each band, in the shape that `hueflight.model.spectra.emission` gives.
+        """
         return cls(WAVELENGTH_NM, np.array([emission(band) for band in instrument.bands]))
 
     @classmethod
     def load(cls, path: str | Path, instrument: Instrument, /) -> Emission:
-        """From CSV: a heading, then wavelength in nm and one column for each band, in their order.
+        """Read measured spectra from a CSV file.
+
+        The first line is a heading. Each further line holds a wavelength in nm and the power of
+        every LED at that wavelength, one column for each band in the order of the instrument.
+
+        Parameters
+        ----------
+        path : str or Path
+            Name of the file.
+        instrument : Instrument
+            Instrument whose LEDs were measured.
+
+        Returns
+        -------
+        Emission
+            The spectra.
 
         Raises
         ------
         CalibrationError
-            If it can't be read, or its peaks are not those of the instrument's bands.
+            If the file can't be read, or its peaks are not those of the instrument's bands.
         """
         path = Path(path)
         try:
@@ -79,12 +106,18 @@ class Emission:
         return found
 
     def require(self, instrument: Instrument) -> None:
-        """Refuse spectra that are not those of an instrument's bands.
+        """Check that the spectra belong to the bands of an instrument.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument that the spectra are to be used with.
 
         Raises
         ------
         CalibrationError
-            Saying which band does not fit.
+            If the number of bands differs, or a spectrum peaks more than 30 nm from its band's
+            wavelength; the message names that band.
         """
         if len(self.power) != len(instrument.bands):
             raise CalibrationError(
@@ -102,10 +135,28 @@ class Emission:
     def shares(
         self, instrument: Instrument, nodes_nm: NDArray[np.floating] = WAVELENGTH_NM
     ) -> NDArray[np.float64]:
-        """Share of each band's detected photons at evenly spaced wavelengths, (band, node).
+        """Compute the share of each band's detected photons at evenly spaced wavelengths.
 
-        Emitted photons (power × wavelength) × the detector's and lens's probability; light
-        beyond the ends goes to them.
+        The detected spectrum is the number of emitted photons (power times wavelength) times the
+        probability that lens and detector register them. Light beyond the first or last node is
+        counted there.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument that detects the light.
+        nodes_nm : ndarray of float, shape (node,)
+            Evenly spaced wavelengths, nm.
+
+        Returns
+        -------
+        ndarray of float, shape (band, node)
+            Shares; each row sums to 1.
+
+        Raises
+        ------
+        CalibrationError
+            If the spectra are not those of the instrument, or it detects nothing of a band.
         """
         self.require(instrument)
         sensed = self.power * self.wavelengths_nm * detection(instrument, self.wavelengths_nm)
@@ -120,14 +171,23 @@ class Emission:
             np.add.at(gathered[band], lower + 1, light * upper_share)
         totals = gathered.sum(axis=1, keepdims=True)
         if not (totals > 0).all():
-            blind = instrument.bands[int(np.argmin(totals))].name
-            raise CalibrationError(f"band {blind!r}: the detector is blind at its wavelengths")
+            unseen = instrument.bands[int(np.argmin(totals))].name
+            raise CalibrationError(f"band {unseen!r}: the detector registers no light there")
         return gathered / totals
 
     def overlap(self, instrument: Instrument, /) -> NDArray[np.float64]:
-        """How alike what two bands see is, (band, band): 1 the same light, 0 none in common.
+        """Compute how similar the detected spectra of every two bands are.
 
-        The cosine between their detected spectra.
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument that detects the light.
+
+        Returns
+        -------
+        ndarray of float, shape (band, band)
+            Cosine between the detected spectra: 1 for the same spectrum, 0 for two without a common
+            wavelength.
         """
         seen = self.shares(instrument)
         length = np.sqrt((seen**2).sum(axis=1))

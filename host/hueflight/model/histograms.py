@@ -14,12 +14,26 @@ from hueflight.model.instrument import Instrument
 def check_histogram(
     counts: ArrayLike, instrument: Instrument, *, name: str = "histogram"
 ) -> NDArray[Any]:
-    """The counts as an array (row, col, code), if they can be that instrument's.
+    """Convert counts to an array after checking that the instrument can have made them.
+
+    Parameters
+    ----------
+    counts : array_like, shape (row, col, code)
+        The counts. Codes that no photon of the period can have may be missing at the end.
+    instrument : Instrument
+        Instrument that made them.
+    name : str
+        Name of the argument in errors.
+
+    Returns
+    -------
+    ndarray, shape (row, col, code)
+        The counts in their own type, with all codes of the sensor.
 
     Raises
     ------
     HistogramError
-        If shape or type do not fit, a count is negative or not finite, or nothing was counted.
+        If shape or type do not fit, a count is masked, negative or not finite, or all are 0.
     """
     if np.ma.is_masked(counts):
         masked = int(np.ma.count_masked(counts))
@@ -53,10 +67,27 @@ def check_histogram(
 def frames_per_pixel(
     counts: NDArray[Any], instrument: Instrument, frames: ArrayLike | None
 ) -> NDArray[np.float64] | None:
-    """Exposures behind each pixel's counts, shape (row, col).
+    """Determine the number of exposures behind each pixel's counts.
 
-    `frames` if given (a number or an array (row, col)); else the sum over codes where the
-    sensor reports its empty exposures; else None: it can't be known.
+    Parameters
+    ----------
+    counts : ndarray, shape (row, col, code)
+        Checked counts.
+    instrument : Instrument
+        Instrument that made them.
+    frames : array_like or None
+        Number of exposures, one for all pixels or an array (row, col). None to take the sum over
+        codes, if the sensor reports its empty exposures.
+
+    Returns
+    -------
+    ndarray of float, shape (row, col), or None
+        Exposures; None where their number can't be known.
+
+    Raises
+    ------
+    HistogramError
+        If `frames` is not finite and above 0.
     """
     if frames is not None:
         given = np.broadcast_to(np.asarray(frames, dtype=np.float64), instrument.image_shape)
@@ -69,7 +100,18 @@ def frames_per_pixel(
 
 
 def counters_full(counts: NDArray[Any]) -> NDArray[np.bool_]:
-    """Pixels (row, col) with a counter at the end of its integer type: it may have saturated."""
+    """Find pixels that have a counter at the maximum of its integer type, which may have saturated.
+
+    Parameters
+    ----------
+    counts : ndarray, shape (row, col, code)
+        Counts in the type in which they were accumulated.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, col)
+        True where a counter may have saturated; False everywhere for floating-point counts.
+    """
     if counts.dtype.kind == "f":
         return np.zeros(counts.shape[:2], dtype=bool)
     return (counts == np.iinfo(counts.dtype).max).any(axis=-1)

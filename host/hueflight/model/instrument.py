@@ -1,7 +1,7 @@
-"""What an instrument is: bands and their schedule, sensor, lens. Read from TOML, strictly.
+"""Description of an instrument: bands and their schedule, sensor, lens. Read strictly from TOML.
 
-An `Instrument` is all that the rest of the host needs to know about where counts came from,
-so that data of any other camera can be used by describing it.
+An `Instrument` is all that the rest of the host software needs to know about the origin of
+counts, so data of any other camera can be used by describing that camera.
 """
 
 from __future__ import annotations
@@ -260,7 +260,44 @@ class Lens(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Bands, timing, sensor and lens of one instrument. Make it with `load` or `from_toml`."""
+    """Bands, timing, sensor and lens of one instrument.
+
+    Everything that computes with counts takes an instrument, because it says which code stands for
+    which arrival time and which pulse belongs to which band. Take a preset or read a TOML file with
+    `Instrument.load`; describe your own camera in a TOML file whose tables are ``[sensor]``,
+    ``[timing]``, ``[[bands]]`` and, if depth along the optical axis is wanted, ``[lens]``. Unknown,
+    missing and contradictory entries are refused. Instruments are immutable: `replace` makes a
+    changed copy.
+
+    Attributes
+    ----------
+    name : str
+        Short name, which appears in files and messages.
+    description : str
+        Free text for people; nothing depends on it.
+    sensor : Sensor
+        The single-photon array and the meaning of its codes.
+    timing : Timing
+        Period and width of the drive pulses.
+    bands : tuple of Band
+        The LEDs. Their order is that of the axis `band` of every array.
+    lens : Lens or None
+        The lens, which gives each pixel a direction. Without it every pixel looks along the optical
+        axis.
+
+    See Also
+    --------
+    hueflight.calibrate : Measure what a description can't state.
+    Schedule : The delays of all bands, apart from the rest of the instrument.
+
+    Examples
+    --------
+    >>> instrument = Instrument.load("paper")
+    >>> instrument.histogram_shape
+    (192, 128, 512)
+    >>> instrument.wavelengths_nm.size == len(instrument.bands)
+    True
+    """
 
     name: str
     description: str = ""
@@ -302,18 +339,36 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @classmethod
     def presets(cls) -> tuple[str, ...]:
-        """Names that `load` knows without a file."""
+        """List the names that `load` knows without a file.
+
+        Returns
+        -------
+        tuple of str
+            Names of the presets, sorted.
+        """
         folder = resources.files("hueflight.model") / "presets"
         return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
 
     @classmethod
     def load(cls, source: str | Path) -> Instrument:
-        """Instrument from a preset's name or the path of a TOML file.
+        """Load a preset, or read an instrument from a TOML file.
+
+        Parameters
+        ----------
+        source : str or Path
+            Name of a preset (see `presets`) or path of a file.
+
+        Returns
+        -------
+        Instrument
+            The instrument.
 
         Raises
         ------
+        InstrumentNotFoundError
+            If there is neither a preset nor a file of that name.
         InstrumentError
-            If there is no such preset or file, or its content is not an instrument.
+            If the file can't be read or does not describe an instrument.
         """
         if isinstance(source, str) and source in cls.presets():
             text = (resources.files("hueflight.model") / "presets" / f"{source}.toml").read_text(
@@ -334,13 +389,24 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @classmethod
     def from_toml(cls, text: str, *, where: str = "instrument") -> Instrument:
-        """Instrument from TOML text; `where` names it in errors.
+        """Read an instrument from TOML text.
+
+        Parameters
+        ----------
+        text : str
+            The description.
+        where : str
+            Origin of the text, for errors.
+
+        Returns
+        -------
+        Instrument
+            The instrument.
 
         Raises
         ------
         InstrumentError
-            If the text is not TOML, has unknown, missing or ill-typed keys, or contradicts
-            itself.
+            If the text is not TOML, has unknown, missing or ill-typed keys, or contradicts itself.
         """
         try:
             return msgspec.convert(tomllib.loads(text), cls)
@@ -353,7 +419,27 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @classmethod
     def from_json(cls, text: str | bytes, *, where: str = "instrument") -> Instrument:
-        """Instrument from what `to_json` wrote (as stored in recordings and calibrations)."""
+        """Read an instrument from the text that `to_json` wrote.
+
+        Recordings and calibrations hold their instrument in this form.
+
+        Parameters
+        ----------
+        text : str or bytes
+            The description.
+        where : str
+            Origin of the text, for errors.
+
+        Returns
+        -------
+        Instrument
+            The instrument.
+
+        Raises
+        ------
+        InstrumentError
+            If the text is not JSON or does not describe an instrument.
+        """
         try:
             return msgspec.json.decode(text, type=cls)
         except msgspec.DecodeError as error:
@@ -362,16 +448,40 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
             raise InstrumentError(f"{where}: {cause}") from None
 
     def to_json(self) -> str:
-        """The whole description as JSON; equal instruments give equal text."""
+        """Write the whole description as JSON.
+
+        Returns
+        -------
+        str
+            JSON with sorted keys; equal instruments give equal text.
+        """
         return msgspec.json.encode(self, order="sorted").decode()
 
     def fingerprint(self) -> str:
-        """Short digest of everything that counts depend on (name and description do not)."""
+        """Compute a short digest of everything that counts depend on.
+
+        Returns
+        -------
+        str
+            16 hexadecimal digits of the SHA-256 digest of the description, without `name` and
+            `description`.
+        """
         physical = msgspec.structs.replace(self, name="", description="")
         return hashlib.sha256(physical.to_json().encode()).hexdigest()[:16]
 
     def differences(self, other: Instrument) -> list[str]:
-        """Where two instruments differ, one line ``key: here != there`` each, names aside."""
+        """List the entries in which two instruments differ; name and description are not compared.
+
+        Parameters
+        ----------
+        other : Instrument
+            Instrument to compare with.
+
+        Returns
+        -------
+        list of str
+            One line ``key: value here != value there`` for each difference.
+        """
         mine, theirs = _flatten(msgspec.to_builtins(self)), _flatten(msgspec.to_builtins(other))
         keys = [k for k in {**mine, **theirs} if k not in ("name", "description")]
         return [
@@ -381,19 +491,35 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         ]
 
     def replace(self, **changes: Any) -> Instrument:
-        """A copy with some sections replaced, checked like any other."""
+        """Make a copy with some sections replaced, which is checked like any other instrument.
+
+        Parameters
+        ----------
+        **changes : Any
+            New values by attribute, such as ``timing=Timing(period_ns=500)``.
+
+        Returns
+        -------
+        Instrument
+            The changed copy.
+
+        Raises
+        ------
+        InstrumentError
+            If the changed description contradicts itself.
+        """
         return msgspec.structs.replace(self, **changes)
 
     # -- shapes -------------------------------------------------------------------------------
 
     @property
     def image_shape(self) -> tuple[int, int]:
-        """(row, col) of an image, all scan steps stacked."""
+        """Shape (row, col) of an image, with all scan steps stacked along the rows."""
         return self.sensor.rows * self.sensor.scan_steps, self.sensor.cols
 
     @property
     def histogram_shape(self) -> tuple[int, int, int]:
-        """(row, col, code) of a histogram."""
+        """Shape (row, col, code) of a histogram."""
         return (*self.image_shape, self.sensor.codes)
 
     @property
@@ -404,7 +530,13 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
     # -- time ---------------------------------------------------------------------------------
 
     def time_bins(self) -> TimeBins:
-        """Codes in order of arrival time, with their nominal edges."""
+        """Compute the codes in order of arrival time and their nominal edges.
+
+        Returns
+        -------
+        TimeBins
+            The bins. A calibration holds the same bins with measured widths.
+        """
         sensor = self.sensor
         return TimeBins.nominal(
             codes=sensor.codes,
@@ -415,7 +547,18 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         )
 
     def pulses(self, band: int) -> tuple[Pulse, ...]:
-        """Optical pulses of a band as they would arrive from distance 0; areas sum to 1."""
+        """Compute the optical pulses of a band as they would arrive from distance 0.
+
+        Parameters
+        ----------
+        band : int
+            Index of the band.
+
+        Returns
+        -------
+        tuple of Pulse
+            One pulse for each delay of the band; their areas sum to 1.
+        """
         description = self.bands[band]
         sigma_ns = gaussian_sigma(description.pulse_fwhm_ns, description.pulse_tail_ns)
         share = 1 / len(description.delays_ns)
@@ -430,9 +573,20 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         )
 
     def band_brightness(self) -> NDArray[np.float64]:
-        """Relative photon rate of each band from a white target, shape (band,), mean 1.
+        """Compute the relative photon rate of each band from a white target.
 
-        Optical power × wavelength (photons per joule) × detection probability where tabulated.
+        Optical power times wavelength (photons per joule) times the detection probability, where
+        the sensor has a table of it.
+
+        Returns
+        -------
+        ndarray of float, shape (band,)
+            Rates relative to their mean.
+
+        Raises
+        ------
+        InstrumentError
+            If the detection probability is 0 at the wavelengths of all bands.
         """
         wavelength_nm = self.wavelengths_nm
         rate = np.array([band.power_mw for band in self.bands]) * wavelength_nm
@@ -449,10 +603,14 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         return rate / rate.mean()
 
     def half_spacing_ns(self) -> float:
-        """Half the smallest gap between two pulses of the train, ns.
+        """Compute half the smallest gap between two pulses of the train.
 
-        Delays beyond this move a pulse onto its neighbour's place; for one pulse on no circle
-        it is infinite.
+        A longer delay moves a pulse closer to its neighbour's place than to its own.
+
+        Returns
+        -------
+        float
+            Half the gap, ns; infinite for a single pulse without a period.
         """
         period = self.timing.period_ns
         starts = np.sort([delay for band in self.bands for delay in band.delays_ns])
@@ -463,15 +621,29 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
     # -- geometry -----------------------------------------------------------------------------
 
     def ray_cosine(self) -> NDArray[np.float64]:
-        """Cosine between each pixel's ray and the optical axis, shape (row, col).
+        """Compute the cosine between each pixel's ray and the optical axis.
 
-        Times of flight measure along the ray, depth along the axis; 1 without a lens.
+        A time of flight measures the distance along the ray; depth is counted along the axis, so
+        depth is distance times this cosine.
+
+        Returns
+        -------
+        ndarray of float, shape (row, col)
+            Cosines; 1 everywhere without a lens.
         """
         x, y = self.ray_slopes()
         return 1 / np.sqrt(1 + x**2 + y**2)
 
     def ray_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Metres right and down per metre of depth for each pixel, two arrays (row, col)."""
+        """Compute the direction of each pixel's ray as slopes against the optical axis.
+
+        Returns
+        -------
+        right : ndarray of float, shape (row, col)
+            Metres to the right per metre of depth.
+        down : ndarray of float, shape (row, col)
+            Metres downwards per metre of depth.
+        """
         rows, cols = self.image_shape
         if self.lens is None:
             return np.zeros((rows, cols)), np.zeros((rows, cols))

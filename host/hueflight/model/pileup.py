@@ -1,8 +1,8 @@
-"""First photons only: what a sensor that keeps one photon per exposure loses, and undoing it.
+"""Pile-up: what a sensor that records one photon per exposure loses, and its correction.
 
-An exposure spans many periods. Whether a photon is kept depends on how many came before it:
-over the whole exposure bright pixels seem darker than they are, and within a period late
-pulses seem fainter than early ones (Coates, J. Phys. E 1, 878, 1968).
+An exposure spans one or many periods. Whether a photon is recorded depends on how many came
+before it: over the whole exposure, bright pixels appear darker than they are, and within a
+period, late pulses appear fainter than early ones (Coates, J. Phys. E 1, 878, 1968).
 """
 
 from __future__ import annotations
@@ -18,10 +18,22 @@ NEGLIGIBLE = 1e-3  #: photons per period below which the loss within it is not u
 def lost_photons_factor(
     hits: NDArray[np.float64], frames: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Photons that arrived per photon that was kept, where an exposure keeps only its first.
+    """Compute the arrived photons per recorded photon, where an exposure records only its first.
 
-    The mean number that arrived in an exposure is −ln(1 − hits/frames). Where every exposure
-    holds a photon it can't be known: NaN.
+    The mean number that arrived in an exposure is −ln(1 − hits/frames) (Poisson statistics).
+
+    Parameters
+    ----------
+    hits : ndarray of float
+        Exposures with a photon, any shape.
+    frames : ndarray of float
+        All exposures, same shape.
+
+    Returns
+    -------
+    ndarray of float
+        Factors of the same shape, 1 or more; NaN where every exposure holds a photon, because the
+        number that arrived can't be known then.
     """
     occupancy = np.divide(hits, frames, out=np.zeros_like(hits), where=frames > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -34,9 +46,23 @@ def lost_photons_factor(
 def photons_per_period(
     hits: NDArray[np.float64], frames: NDArray[np.float64] | None, instrument: Instrument
 ) -> NDArray[np.float64] | None:
-    """Photons that reach a pixel in one period; None where it can't be known.
+    """Compute the mean number of photons that reach a pixel in one period.
 
-    Pixels with a photon in every exposure are taken to have had half an exposure without.
+    A pixel with a photon in every exposure is treated as if half an exposure had been empty.
+
+    Parameters
+    ----------
+    hits : ndarray of float
+        Exposures with a photon, any shape.
+    frames : ndarray of float or None
+        All exposures, same shape; None where their number can't be known.
+    instrument : Instrument
+        Instrument whose period and exposure time apply.
+
+    Returns
+    -------
+    ndarray of float or None
+        Photons per period in the shape of `hits`; None where they can't be known.
     """
     period_ns, exposure_ms = instrument.timing.period_ns, instrument.sensor.exposure_ms
     if frames is None or period_ns is None or exposure_ms is None:
@@ -49,15 +75,22 @@ def photons_per_period(
 def coates_correction(
     light: NDArray[np.floating], per_period: NDArray[np.floating] | None
 ) -> NDArray[np.floating]:
-    """Counts (…, bin) as if early photons of a period had not kept later ones from being seen.
+    """Correct counts for photons that were lost to an earlier photon of the same period.
 
-    Sums stay what they are. Where no pixel meets more than `NEGLIGIBLE` photons per period
-    nothing is done.
+    The sum of each pixel's counts stays the same. Nothing is changed where no pixel receives more
+    than `NEGLIGIBLE` photons per period.
 
     Parameters
     ----------
-    light : (…, bin) counts in time order.
-    per_period : (…) photons per period, as `photons_per_period` gives, or None.
+    light : ndarray, shape (..., bin)
+        Counts in time order.
+    per_period : ndarray of float, shape (...), or None
+        Photons per period, as `photons_per_period` gives; None for no correction.
+
+    Returns
+    -------
+    ndarray of float, shape (..., bin)
+        Corrected counts.
     """
     if per_period is None or float(np.max(per_period, initial=0.0)) < NEGLIGIBLE:
         return light

@@ -1,10 +1,10 @@
-"""Optical pulses: a Gaussian drawn out by an exponential tail, on the circle of the period.
+"""Optical pulses: a Gaussian with an exponential tail, on the circle of the period.
 
 LEDs rise faster than they fall. The exponentially modified Gaussian is the usual model of
-such a pulse; its integral is known in closed form, so that a bin's share is exact however
-narrow or wide the bin (Grushka, Anal. Chem. 44, 1733, 1972).
+such a pulse; its integral is known in closed form, so a bin's share is exact however narrow or
+wide the bin is (Grushka, Anal. Chem. 44, 1733, 1972).
 
-SciPy is imported where it is called: loading it takes longer than reading an instrument or a
+SciPy is imported inside the functions: loading it takes longer than reading an instrument or a
 recording, which need this module and none of its integrals.
 """
 
@@ -25,7 +25,7 @@ SHORT_TAIL = 1e-6  #: tails below this share of sigma differ from a Gaussian by 
 
 @dataclass(frozen=True)
 class Pulse:
-    """One optical pulse.
+    """One optical pulse: an exponentially modified Gaussian.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Pulse:
     sigma_ns : float
         Standard deviation of the Gaussian part, ns.
     tail_ns : float
-        Decay constant of the exponential part, ns; 0 for none.
+        Decay constant of the exponential part, ns; 0 for a Gaussian pulse.
     area : float
         Number of photons in the pulse.
     """
@@ -49,14 +49,36 @@ class Pulse:
         return self.tail_ns <= SHORT_TAIL * self.sigma_ns
 
     def density(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """Photons per ns at given times."""
+        """Evaluate the photon rate at given times.
+
+        Parameters
+        ----------
+        time_ns : array_like
+            Times, ns.
+
+        Returns
+        -------
+        ndarray of float
+            Photons per ns, in the shape of `time_ns`.
+        """
         z = (np.asarray(time_ns, dtype=np.float64) - self.center_ns) / self.sigma_ns
         if self._is_gaussian:
             return self.area * np.exp(-(z**2) / 2) / (self.sigma_ns * sqrt(2 * np.pi))
         return self.area * self._decayed(z) / self.tail_ns
 
     def cumulative(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """Photons up to given times."""
+        """Evaluate the number of photons that have arrived up to given times.
+
+        Parameters
+        ----------
+        time_ns : array_like
+            Times, ns.
+
+        Returns
+        -------
+        ndarray of float
+            Photons, from 0 to `area`, in the shape of `time_ns`.
+        """
         from scipy.special import ndtr
 
         z = (np.asarray(time_ns, dtype=np.float64) - self.center_ns) / self.sigma_ns
@@ -65,7 +87,18 @@ class Pulse:
         return self.area * (ndtr(z) - self._decayed(z))
 
     def slope(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """Derivative of `density`, photons per ns²."""
+        """Evaluate the derivative of `density` with respect to time.
+
+        Parameters
+        ----------
+        time_ns : array_like
+            Times, ns.
+
+        Returns
+        -------
+        ndarray of float
+            Photons per ns², in the shape of `time_ns`.
+        """
         z = (np.asarray(time_ns, dtype=np.float64) - self.center_ns) / self.sigma_ns
         bell = self.area * np.exp(-(z**2) / 2) / (self.sigma_ns * sqrt(2 * np.pi))
         if self._is_gaussian:
@@ -82,7 +115,20 @@ class Pulse:
         return np.where(past < 30, scaled, np.exp(np.minimum(-s * (z - s / 2), 0)))
 
     def share(self, edges_ns: NDArray[np.floating], period_ns: float | None) -> NDArray[np.float64]:
-        """Photons between successive edges, shape (edge − 1,); wrapped around a period if given."""
+        """Compute the number of photons between successive edges.
+
+        Parameters
+        ----------
+        edges_ns : ndarray of float, shape (edge,)
+            Edges in ascending order, ns.
+        period_ns : float or None
+            Period after which the pulse repeats, ns; None for a single pulse.
+
+        Returns
+        -------
+        ndarray of float, shape (edge - 1,)
+            Photons in each bin.
+        """
         if period_ns is None:
             return np.diff(self.cumulative(edges_ns))
         turns = self._turns(period_ns)
@@ -91,7 +137,20 @@ class Pulse:
     def wrapped_density(
         self, time_ns: NDArray[np.floating], period_ns: float | None
     ) -> NDArray[np.float64]:
-        """Photons per ns at given times on the circle."""
+        """Evaluate the photon rate at given times, with the repetitions of the pulse added.
+
+        Parameters
+        ----------
+        time_ns : ndarray of float
+            Times, ns.
+        period_ns : float or None
+            Period after which the pulse repeats, ns; None for a single pulse.
+
+        Returns
+        -------
+        ndarray of float
+            Photons per ns, in the shape of `time_ns`.
+        """
         if period_ns is None:
             return self.density(time_ns)
         turns = self._turns(period_ns)
@@ -107,7 +166,20 @@ class Pulse:
 
 @lru_cache(maxsize=1024)
 def full_width_half_maximum(sigma_ns: float, tail_ns: float) -> float:
-    """FWHM of an exponentially modified Gaussian, ns."""
+    """Compute the full width at half maximum (FWHM) of an exponentially modified Gaussian.
+
+    Parameters
+    ----------
+    sigma_ns : float
+        Standard deviation of the Gaussian part, ns.
+    tail_ns : float
+        Decay constant of the exponential part, ns.
+
+    Returns
+    -------
+    float
+        FWHM, ns.
+    """
     from scipy.optimize import brentq
 
     if tail_ns <= SHORT_TAIL * sigma_ns:
@@ -127,12 +199,24 @@ def full_width_half_maximum(sigma_ns: float, tail_ns: float) -> float:
 
 @lru_cache(maxsize=1024)
 def gaussian_sigma(fwhm_ns: float, tail_ns: float) -> float:
-    """Sigma of the Gaussian part so that the whole pulse has the given FWHM.
+    """Compute the width of the Gaussian part from the FWHM of the whole pulse.
+
+    Parameters
+    ----------
+    fwhm_ns : float
+        Full width at half maximum of the pulse, ns.
+    tail_ns : float
+        Decay constant of the exponential part, ns.
+
+    Returns
+    -------
+    float
+        Standard deviation of the Gaussian part, ns.
 
     Raises
     ------
     InstrumentError
-        If the tail alone is already as wide (tail · ln 2 ≥ FWHM).
+        If the tail alone is already as wide (tail · ln 2 ≥ 0.98 FWHM).
     """
     if tail_ns * log(2) >= 0.98 * fwhm_ns:
         raise InstrumentError(

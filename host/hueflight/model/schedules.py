@@ -1,11 +1,12 @@
-"""When to fire which LED: how far a schedule ranges without ambiguity, and finding a better one.
+"""When to fire which LED: the unambiguous range of a schedule, and the search for a better one.
 
-An object whose light comes back at a delay can be mistaken for one at another delay if the
-pulses of the bands it reflects land, so shifted, on pulses of other bands: a free spectrum
-explains them there as well. A shift is *ambiguous* for objects of n bands if n bands find such
-partners at it. Evenly spaced pulses all find one at every multiple of the spacing; in a train
-whose differences are all different no shift serves more than one band (the idea of a Golomb
-ruler). Of two schedules that take turns, a shift must serve in both.
+An object whose light returns after one delay can be mistaken for an object at another delay if
+the pulses of the bands that it reflects, shifted by the difference, coincide with pulses of other
+bands: some spectrum then explains the counts at either delay. A shift is *ambiguous* for objects
+of n bands if the pulses of n bands find such partners at it. Evenly spaced pulses all find one at
+every multiple of the spacing; in a train whose differences are all distinct, no shift serves more
+than one band (the idea of a Golomb ruler). Where two schedules are interleaved, a shift is
+ambiguous only if it is so in both.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ ENOUGH_NS = 10.0  #: a margin between two schedules that is not worth widening
 
 @dataclass(frozen=True)
 class Schedule:
-    """Delays of every band's pulses within a period.
+    """Delays of the pulses of every band within a period.
 
     Attributes
     ----------
@@ -53,7 +54,23 @@ class Schedule:
 
     @classmethod
     def of(cls, instrument: Instrument) -> Schedule:
-        """Schedule of an instrument that has a period."""
+        """Take the schedule of an instrument.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument that has a period.
+
+        Returns
+        -------
+        Schedule
+            Its delays and period.
+
+        Raises
+        ------
+        InstrumentError
+            If the instrument has no period.
+        """
         period_ns = instrument.timing.period_ns
         if period_ns is None:
             raise InstrumentError(
@@ -63,11 +80,40 @@ class Schedule:
 
     @classmethod
     def once(cls, delays_ns: Sequence[float], period_ns: float) -> Schedule:
-        """Schedule in which every band fires once."""
+        """Make a schedule in which every band fires once.
+
+        Parameters
+        ----------
+        delays_ns : sequence of float
+            Firing time of each band, ns.
+        period_ns : float
+            Period after which the schedule repeats, ns.
+
+        Returns
+        -------
+        Schedule
+            The schedule.
+        """
         return cls(tuple((float(delay),) for delay in delays_ns), period_ns)
 
     def applied_to(self, instrument: Instrument) -> Instrument:
-        """The instrument with this schedule instead of its own."""
+        """Copy an instrument with this schedule in place of its own.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument with as many bands as the schedule.
+
+        Returns
+        -------
+        Instrument
+            Copy with the delays and the period of the schedule.
+
+        Raises
+        ------
+        InstrumentError
+            If the number of bands differs, or the period needs more codes than the sensor has.
+        """
         if len(self.delays_ns) != len(instrument.bands):
             raise InstrumentError(
                 f"the schedule is for {len(self.delays_ns)} bands, instrument "
@@ -82,18 +128,33 @@ class Schedule:
 
 
 def unambiguous_range(*schedules: Schedule, colours: int = 1, resolution_ns: float = 1.0) -> float:
-    """How far, in metres, objects of at least so many bands are ranged without ambiguity.
+    """Compute how far objects are ranged without ambiguity.
 
     Parameters
     ----------
-    schedules : one, or several of one period that take turns frame by frame.
-    colours : bands that every object reflects: 1 for objects of a single colour.
-    resolution_ns : pulses closer than this can't be told apart.
+    *schedules : Schedule
+        One schedule, or several of one period that are interleaved frame by frame.
+    colours : int
+        Number of bands that every object reflects at least; 1 includes objects of a single colour.
+    resolution_ns : float
+        Pulses closer to each other than this, in ns, can't be distinguished.
 
     Returns
     -------
-    Length of the longest stretch of distances of which no two can be mistaken for each other; at
-    most half the way light goes in a period.
+    float
+        Length in m of the longest interval of distances of which no two can be mistaken for each
+        other; at most half the distance that light travels in a period.
+
+    Raises
+    ------
+    InstrumentError
+        If the schedules don't belong together or the resolution makes no sense.
+
+    Examples
+    --------
+    >>> even = Schedule.once([0, 50, 100, 150], period_ns=200)
+    >>> print(f"{unambiguous_range(even):.1f} m")
+    7.5 m
     """
     shifts_ns, partners = ambiguity(*schedules, resolution_ns=resolution_ns)
     beyond = np.abs(shifts_ns) > resolution_ns
@@ -105,12 +166,27 @@ def unambiguous_range(*schedules: Schedule, colours: int = 1, resolution_ns: flo
 def ambiguity(
     *schedules: Schedule, resolution_ns: float = 1.0
 ) -> tuple[NDArray[np.floating], NDArray[np.intp]]:
-    """Bands that find partners at each shift of the circle.
+    """Count the bands that find partners at each shift of the train.
+
+    Parameters
+    ----------
+    *schedules : Schedule
+        One schedule, or several of one period that are interleaved frame by frame.
+    resolution_ns : float
+        Pulses closer to each other than this, in ns, can't be distinguished.
 
     Returns
     -------
-    (shift,) ns, from −period/2 to period/2, and (shift,) number of bands whose every pulse then
-    lies on a pulse of a band that has no pulse elsewhere, in all schedules.
+    shifts_ns : ndarray of float, shape (shift,)
+        Shifts from −period/2 to period/2, ns.
+    partners : ndarray of int, shape (shift,)
+        Number of bands whose every pulse, so shifted, coincides in all schedules with a pulse of a
+        band that has no pulse elsewhere.
+
+    Raises
+    ------
+    InstrumentError
+        If the schedules don't belong together or the resolution makes no sense.
     """
     _check(schedules, resolution_ns)
     period_ns = schedules[0].period_ns
@@ -148,21 +224,34 @@ def design_schedules(
     resolution_ns: float = 1.0,
     seed: int = 0,
 ) -> tuple[Schedule, ...]:
-    """Schedules that range far without ambiguity, one pulse for each band in each.
+    """Search for schedules of a long unambiguous range, with one pulse per band and period.
 
-    One schedule serves objects of two or more bands; two that take turns serve those of a single
-    colour as well.
+    A single schedule ranges objects that reflect two or more bands; two interleaved schedules range
+    objects of a single colour as well. The search climbs from random starts.
 
     Parameters
     ----------
-    bands : number of LEDs.
-    period_ns : of the train; with fewer bands a shorter one means more light per second.
-    range_m : wanted; by default all that the period holds.
-    schedules : 1 or 2.
-    gap_ns : least time between two pulses, so that they overlap little (about twice the FWHM).
-    tick_ns : step of the pulse generator.
-    resolution_ns : pulses closer than this can't be told apart.
-    seed : of the search.
+    bands : int
+        Number of LEDs.
+    period_ns : float
+        Period of the train, ns. With few bands, a shorter period gives more light per second.
+    range_m : float or None
+        Range that must be reached, m; None for all that the period allows.
+    schedules : {2, 1}
+        Number of schedules.
+    gap_ns : float
+        Smallest time between two pulses, ns. About twice the FWHM keeps their overlap small.
+    tick_ns : float
+        Time step of the pulse generator, ns.
+    resolution_ns : float
+        Pulses closer to each other than this, in ns, can't be distinguished.
+    seed : int
+        Seed of the search; the same seed gives the same schedules.
+
+    Returns
+    -------
+    tuple of Schedule
+        The schedules, which reach `range_m`.
 
     Raises
     ------
@@ -177,7 +266,7 @@ def design_schedules(
             "for less or lengthen the period"
         )
     if schedules not in (1, 2):
-        raise InstrumentError(f"schedules = {schedules}: 1, or 2 that take turns")
+        raise InstrumentError(f"schedules = {schedules}: must be 1, or 2 interleaved ones")
     ticks = int(period_ns / tick_ns + 1e-9)
     least = int(np.ceil(gap_ns / tick_ns - 1e-9))
     if bands < 1 or bands * least > ticks:
@@ -252,10 +341,10 @@ def _merit(
     reach_ns: float,
     others: list[NDArray[np.floating]],
 ) -> float:
-    """How far apart, in ns, the nearest two shifts are that each serve a band of their own.
+    """Distance, in ns, of the nearest two shifts that are each ambiguous for a band of their own.
 
-    With another schedule to take turns with, how far its shifts for a band are from these counts
-    as well.
+    If it is to be interleaved with another schedule, the distance of that one's shifts from these
+    counts as well.
     """
     apart = np.eye(delays_ns.size) == 0
     differences = (delays_ns[None, :] - delays_ns[:, None])[apart] % period_ns
@@ -309,7 +398,7 @@ def _check(schedules: tuple[Schedule, ...], resolution_ns: float) -> None:
         if other.period_ns != first.period_ns or len(other.delays_ns) != len(first.delays_ns):
             raise InstrumentError(
                 f"schedules of {len(first.delays_ns)} bands in {first.period_ns} ns and of "
-                f"{len(other.delays_ns)} in {other.period_ns} ns can't take turns"
+                f"{len(other.delays_ns)} in {other.period_ns} ns can't be interleaved"
             )
     if not (isfinite(resolution_ns) and 0 < resolution_ns < first.period_ns / 4):
         raise InstrumentError(

@@ -1,4 +1,4 @@
-"""Spectra of LEDs, detector and surfaces on one wavelength grid, and what a band sees of them."""
+"""Spectra of LEDs, detector and surfaces on one wavelength grid, and what bands detect of them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hueflight.errors import SceneError
-from hueflight.model.instrument import Band, Instrument
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Band, Instrument
 
 WAVELENGTH_NM = np.arange(300.0, 1701.0, 2.0)  #: grid of every spectrum here, nm
+PLANCK_J_S = 6.62607015e-34  #: Planck's constant, exact, SI
 
 # Reflectances are smooth over some nanometres, so a narrower line sees the same; the grid must
 # still resolve it.
@@ -21,13 +22,25 @@ Spectrum = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 def emission(band: Band, wavelength_nm: ArrayLike = WAVELENGTH_NM) -> NDArray[np.float64]:
-    """Emitted power per nm of an LED, peak 1, same shape as `wavelength_nm`.
+    """Compute the emission spectrum of an LED from its peak and width.
 
     Both flanks of an LED's spectrum fall exponentially: the high-energy one with temperature
     (Boltzmann), the low-energy one with disorder (Urbach; Schubert, Light-Emitting Diodes,
-    2nd ed., 5.2 and 7.1). A hyperbolic secant of two widths follows that. In AlInGaP (red to
+    2nd ed., 5.2 and 7.1). A hyperbolic secant of two widths has this shape. In AlInGaP (red to
     amber) the short-wave flank is the wider one, in InGaN (green to violet) the long-wave one,
     by about the shares used here.
+
+    Parameters
+    ----------
+    band : Band
+        The LED.
+    wavelength_nm : array_like
+        Wavelengths, nm.
+
+    Returns
+    -------
+    ndarray of float
+        Emitted power per nm relative to the peak, in the shape of `wavelength_nm`.
     """
     short_wave_share = 0.58 if band.wavelength_nm > 570 else 0.48
     offset = np.asarray(wavelength_nm, dtype=np.float64) - band.wavelength_nm
@@ -39,11 +52,23 @@ def emission(band: Band, wavelength_nm: ArrayLike = WAVELENGTH_NM) -> NDArray[np
 def detection(
     instrument: Instrument, wavelength_nm: ArrayLike = WAVELENGTH_NM
 ) -> NDArray[np.float64]:
-    """Probability that a photon that reaches the lens is detected: lens × detector.
+    """Compute the probability that a photon that reaches the lens is detected.
 
-    The lens's stated transmission holds for the middle of the visible; towards the violet, glass
-    and coatings of machine-vision lenses take more (half at 390 nm here). Without a table of
-    detection probabilities the detector counts every photon.
+    The stated transmission of the lens holds for the middle of the visible; towards the violet,
+    glass and coatings of machine-vision lenses absorb more (half at 390 nm here). Without a table
+    of detection probabilities the detector counts every photon.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument with the lens and the detector.
+    wavelength_nm : array_like
+        Wavelengths, nm.
+
+    Returns
+    -------
+    ndarray of float
+        Transmission of the lens times detection probability, in the shape of `wavelength_nm`.
     """
     wavelength_nm = np.asarray(wavelength_nm, dtype=np.float64)
     sensor = instrument.sensor
@@ -58,15 +83,24 @@ def detection(
 
 
 def band_weights(instrument: Instrument) -> NDArray[np.float64]:
-    """Share of a band's detected photons at each wavelength, shape (band, wavelength), rows sum 1.
+    """Compute the share of a band's detected photons at each wavelength.
 
-    The mean of a reflectance under these weights is what a measurement relative to a white
-    reference gives.
+    A measurement relative to a white reference gives the mean of a reflectance under these weights.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose bands and detector apply.
+
+    Returns
+    -------
+    ndarray of float, shape (band, wavelength)
+        Weights at `WAVELENGTH_NM`; each row sums to 1.
 
     Raises
     ------
     SceneError
-        If a band lies outside the grid.
+        If a band lies outside the grid, or the detector registers nothing of it.
     """
     low, high = WAVELENGTH_NM[0] + 50, WAVELENGTH_NM[-1] - 50
     for band in instrument.bands:
@@ -80,17 +114,27 @@ def band_weights(instrument: Instrument) -> NDArray[np.float64]:
     weights = np.array([emission(band) for band in instrument.bands]) * sensed
     totals = weights.sum(axis=1, keepdims=True)
     if not np.all(totals > 0):
-        blind = instrument.bands[int(np.argmin(totals))].name
-        raise SceneError(f"band {blind!r}: the detector is blind at its wavelengths")
+        unseen = instrument.bands[int(np.argmin(totals))].name
+        raise SceneError(f"band {unseen!r}: the detector registers no light there")
     return weights / totals
 
 
 def mean_detection(instrument: Instrument) -> NDArray[np.float64]:
-    """Detected photons per joule of each band's light at the lens, shape (band,).
+    """Compute the detected photons per joule of each band's light at the lens.
 
-    Planck's constant times the speed of light turn energy into photons (SI, exact).
+    Planck's constant times the speed of light converts energy into photons (SI, exact).
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose bands, lens and detector apply.
+
+    Returns
+    -------
+    ndarray of float, shape (band,)
+        Detected photons per joule.
     """
-    joule_nm = 6.62607015e-34 * 299792458e9
+    joule_nm = PLANCK_J_S * (SPEED_OF_LIGHT_M_PER_NS * 1e18)  # in nm/s
     sensed = WAVELENGTH_NM / joule_nm * detection(instrument)
     shapes = np.array([emission(band) for band in instrument.bands])
     return shapes @ sensed / shapes.sum(axis=1)
@@ -143,12 +187,28 @@ _PIGMENTS: dict[str, Spectrum] = {
 
 
 def surface_names() -> tuple[str, ...]:
-    """Surfaces that `reflectance` knows."""
+    """List the surfaces that `reflectance` knows.
+
+    Returns
+    -------
+    tuple of str
+        Names of the surfaces.
+    """
     return tuple(_PIGMENTS)
 
 
 def reflectance(surface: str | float) -> NDArray[np.float64]:
-    """Reflectance of a named surface, or of a grey one of the given value, on the grid.
+    """Compute the reflectance of a named surface, or of a grey one.
+
+    Parameters
+    ----------
+    surface : str or float
+        Name of a surface (see `surface_names`), or one reflectance in 0..1 for all wavelengths.
+
+    Returns
+    -------
+    ndarray of float, shape (wavelength,)
+        Reflectance at `WAVELENGTH_NM`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Pulses that a sensor's bins are too wide to resolve."""
+"""Pulses that are too short for a sensor's bins to resolve, and the smoothing that they need."""
 
 from __future__ import annotations
 
@@ -34,11 +34,26 @@ def is_resolved(shortest_fwhm_ns: float, bins: TimeBins) -> bool:
 def smooth_undersampled(
     light: NDArray[Any], instrument: Instrument, bins: TimeBins
 ) -> NDArray[Any]:
-    """Counts (…, bin) as they are, or averaged 1 : 2 : 1 over neighbours if pulses are too short.
+    """Average counts 1 : 2 : 1 over neighbouring bins where pulses are too short for the bins.
 
-    A flank that falls between two bins is only guessed there, and a delay would hang on that
-    guess. The average is the same for the reference and the scene, so it cancels; it costs a
-    little of the photons' information and frees the result from the bins' raster.
+    The course of a flank that falls between two bins can only be guessed, and a delay would depend
+    on that guess. The average is the same for reference and scene, so it cancels. It costs a little
+    of the information in the photons and makes the result independent of where a pulse lies on the
+    grid of bins.
+
+    Parameters
+    ----------
+    light : ndarray, shape (..., bin)
+        Counts in time order.
+    instrument : Instrument
+        Instrument whose pulses the counts hold.
+    bins : TimeBins
+        Bins of the counts.
+
+    Returns
+    -------
+    ndarray, shape (..., bin)
+        The counts unchanged where the pulses are resolved, else averaged, as float32.
     """
     if is_resolved(min(band.pulse_fwhm_ns for band in instrument.bands), bins):
         return light

@@ -1,8 +1,9 @@
-"""Waveform of each band on the circle of the period, measured and free of any pulse model.
+"""Waveform of each band on the circle of the period, measured and independent of any pulse model.
 
 A waveform is a periodic cubic spline with coefficients that are never negative; B-splines are
 never negative either, so neither is the waveform. Integrals over bins, however placed on the
-circle, and their derivatives by delay are exact (de Boor, A Practical Guide to Splines, 1978).
+circle, and their derivatives with respect to the delay are exact (de Boor, A Practical Guide to
+Splines, 1978).
 """
 
 from __future__ import annotations
@@ -36,7 +37,20 @@ class Templates:
 
     @classmethod
     def normalized(cls, coefficients: NDArray[np.floating], circle_ns: float) -> Templates:
-        """Templates of area 1 from coefficients of any scale; negative ones become 0."""
+        """Make waveforms of area 1 from coefficients of any scale.
+
+        Parameters
+        ----------
+        coefficients : ndarray of float, shape (band, knot)
+            Coefficients of the cubic B-splines; negative ones become 0.
+        circle_ns : float
+            Period of the waveforms, ns.
+
+        Returns
+        -------
+        Templates
+            The waveforms.
+        """
         positive = np.maximum(np.atleast_2d(coefficients), 0.0)
         knot_ns = circle_ns / positive.shape[-1]
         return cls(positive / (positive.sum(axis=-1, keepdims=True) * knot_ns), float(circle_ns))
@@ -48,22 +62,56 @@ class Templates:
 
     @property
     def knot_ns(self) -> float:
-        """Spacing of the spline's knots."""
+        """Spacing of the spline's knots, ns."""
         return self.circle_ns / self.coefficients.shape[-1]
 
     def shares(self, edges_ns: ArrayLike, delay_ns: ArrayLike = 0.0) -> NDArray[np.float64]:
-        """Share of each band's light between successive edges when it comes later, (band, bin).
+        """Compute the share of each band's light between successive edges.
 
-        Delays (…, 1) give (band, …, bin).
+        Parameters
+        ----------
+        edges_ns : array_like, shape (bin + 1,)
+            Edges in ascending order, ns.
+        delay_ns : array_like
+            How much later the light arrives, ns: a number, or delays of shape (..., 1).
+
+        Returns
+        -------
+        ndarray of float, shape (band, bin) or (band, ..., bin)
+            Shares; over a whole period they sum to 1.
         """
         return np.diff(self._cumulative(np.asarray(edges_ns, np.float64) - np.asarray(delay_ns)))
 
     def slopes(self, edges_ns: ArrayLike, delay_ns: ArrayLike = 0.0) -> NDArray[np.float64]:
-        """Derivative of `shares` by the delay, per ns, (band, bin)."""
+        """Compute the derivative of `shares` with respect to the delay.
+
+        Parameters
+        ----------
+        edges_ns : array_like, shape (bin + 1,)
+            Edges in ascending order, ns.
+        delay_ns : array_like
+            How much later the light arrives, ns: a number, or delays of shape (..., 1).
+
+        Returns
+        -------
+        ndarray of float, shape (band, bin) or (band, ..., bin)
+            Derivatives, per ns.
+        """
         return -np.diff(self.density(np.asarray(edges_ns, np.float64) - np.asarray(delay_ns)))
 
     def density(self, time_ns: ArrayLike) -> NDArray[np.float64]:
-        """Light per ns at given times, (band, time)."""
+        """Evaluate the waveforms at given times.
+
+        Parameters
+        ----------
+        time_ns : array_like, shape (time,)
+            Times, ns; the waveforms repeat after `circle_ns`.
+
+        Returns
+        -------
+        ndarray of float, shape (band, time)
+            Share of each band's light per ns.
+        """
         cell, phase = self._cell(np.asarray(time_ns, np.float64))
         knots = self.coefficients.shape[-1]
         return sum(
@@ -94,7 +142,18 @@ class Templates:
 
 
 def b_spline(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cubic B-spline of unit knots centred on 0, area 1."""
+    """Evaluate the cubic B-spline with knots at distance 1, centred on 0, of area 1.
+
+    Parameters
+    ----------
+    x : ndarray of float
+        Positions, in units of the knot spacing.
+
+    Returns
+    -------
+    ndarray of float
+        Values, in the shape of `x`; 0 beyond ±2.
+    """
     size = np.abs(x)
     inner = 2 / 3 - size**2 + size**3 / 2
     outer = np.maximum(2 - size, 0) ** 3 / 6
@@ -102,7 +161,18 @@ def b_spline(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def b_spline_integral(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Integral of `b_spline` from −∞."""
+    """Evaluate the integral of `b_spline` from −∞.
+
+    Parameters
+    ----------
+    x : ndarray of float
+        Upper limits, in units of the knot spacing.
+
+    Returns
+    -------
+    ndarray of float
+        Values from 0 to 1, in the shape of `x`.
+    """
     size = np.minimum(np.abs(x), 2.0)
     inner = 2 * size / 3 - size**3 / 3 + size**4 / 8
     outer = 0.5 - (2 - size) ** 4 / 24
@@ -110,14 +180,40 @@ def b_spline_integral(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def circle_of(bins: TimeBins) -> float:
-    """Circumference to put the waveforms of some bins on, ns."""
+    """Choose the circumference of the circle on which waveforms of some bins are described.
+
+    Parameters
+    ----------
+    bins : TimeBins
+        The bins.
+
+    Returns
+    -------
+    float
+        The period, or twice the span of the bins for a single shot, so that nothing wraps, ns.
+    """
     return bins.span_ns * 2 if bins.period_ns is None else bins.period_ns
 
 
 def design_matrix(
     edges_ns: NDArray[np.floating], knots: int, circle_ns: float
 ) -> sparse.csr_matrix:
-    """Integral of every knot's B-spline over every bin, (bin, knot), so that shares = M c."""
+    """Integrate the B-spline of every knot over every bin: shares are matrix @ coefficients.
+
+    Parameters
+    ----------
+    edges_ns : ndarray of float, shape (bin + 1,)
+        Edges of the bins in ascending order, ns.
+    knots : int
+        Number of knots on the circle.
+    circle_ns : float
+        Circumference of the circle, ns.
+
+    Returns
+    -------
+    scipy.sparse.csr_matrix, shape (bin, knot)
+        The integrals, ns.
+    """
     from scipy import sparse  # slow to import, and reading an instrument does not need it
 
     knot_ns = circle_ns / knots
@@ -146,17 +242,31 @@ def fit_waveform(
     background: NDArray[np.floating],
     support: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Spline coefficients (knot,) that best explain counts of one waveform.
+    """Fit the spline coefficients that best explain the counts of one waveform.
 
-    Weighted least squares with model variances. Pixels come in groups of equal delay: a group
-    sees the waveform at its own phase, so that delays sharpen the result and do not blur it.
+    Weighted least squares with variances from the smoothed counts. Pixels come in groups of equal
+    delay: each group samples the waveform at its own phase, so the delays sharpen the result
+    instead of blurring it.
 
     Parameters
     ----------
-    counts : (group, bin) in time order.
-    offsets_ns : (group,) how much later the light reaches the group.
-    background : (group, bin) counts that are not of this waveform.
-    support : (knot,) where the waveform may differ from 0.
+    counts : ndarray of float, shape (group, bin)
+        Counts in time order.
+    offsets_ns : ndarray of float, shape (group,)
+        How much later the light reaches each group, ns.
+    bins : TimeBins
+        Bins of the counts.
+    knots : int
+        Number of knots on the circle.
+    background : ndarray of float, shape (group, bin)
+        Counts that do not belong to this waveform.
+    support : ndarray of bool, shape (knot,)
+        Where the waveform may differ from 0.
+
+    Returns
+    -------
+    ndarray of float, shape (knot,)
+        Coefficients, none of them negative, in any scale; see `Templates.normalized`.
     """
     circle_ns = circle_of(bins)
     share = counts.sum(axis=-1) - background.sum(axis=-1)

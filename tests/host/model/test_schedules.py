@@ -95,7 +95,7 @@ def test_applied_to_an_instrument():
 def test_bad_calls():
     with pytest.raises(InstrumentError, match="band 1 fires at"):
         Schedule(((0.0,), (320.0,)), 320.0)
-    with pytest.raises(InstrumentError, match="can't take turns"):
+    with pytest.raises(InstrumentError, match="can't be interleaved"):
         unambiguous_range(FIRST, Schedule.once((0.0, 30.0), 320.0))
     with pytest.raises(InstrumentError, match="resolution_ns = 0"):
         unambiguous_range(FIRST, resolution_ns=0.0)

@@ -1,4 +1,4 @@
-"""Two schedules that take turns, fitted together: far ranges, one-colour objects, precision."""
+"""Two interleaved schedules, fitted together: far ranges, one-colour objects, precision."""
 
 import dataclasses
 

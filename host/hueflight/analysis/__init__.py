@@ -1,4 +1,4 @@
-"""What people ask of images: regions, cuts, differences, series, libraries, transmittance."""
+"""Analysis of images: regions, profiles, differences, series, spectral libraries, transmittance."""
 
 from hueflight.analysis.comparison import compare, spectral_angle
 from hueflight.analysis.library import SpectralLibrary, match

@@ -1,4 +1,4 @@
-"""What has changed between two captures of one scene, and how sure that is."""
+"""Changes between two captures of one scene, and their significance."""
 
 from __future__ import annotations
 
@@ -15,25 +15,29 @@ from hueflight.files.image_schema import finite
 def compare(
     before: xr.Dataset, after: xr.Dataset, /, *, false_discovery_rate: float = 0.05
 ) -> xr.Dataset:
-    """Difference of two images in depth and spectrum, pixel by pixel, with significance.
+    """Compare two images in depth and spectrum, pixel by pixel, with significance.
 
     Parameters
     ----------
-    before, after : images of the same instrument.
-    false_discovery_rate : share of the pixels called changed that may be called so by chance.
+    before, after : Dataset
+        Images of the same instrument, as `hueflight.reconstruct` gives.
+    false_discovery_rate : float
+        Expected share of false positives among the pixels that are called changed, in 0..1.
 
     Returns
     -------
-    Dataset over (row, col): `depth_difference` (after − before, m) with `_std` and the
-    two-sided probability `depth_p` of a difference as large by chance;
-    `reflectance_difference` (also over band) with `_std`, and `spectrum_p`, that of all bands
-    together; `spectral_angle` (rad); `depth_changed` and `spectrum_changed`. NaN and False
-    where either image has no reliable value.
+    Dataset
+        Over (row, col): `depth_difference` (after − before, m) with `depth_difference_std`, and
+        `depth_p`, the two-sided probability of such a difference by chance; over (row, col, band):
+        `reflectance_difference` with `reflectance_difference_std`; over (row, col): `spectrum_p`,
+        the probability for all bands together, `spectral_angle` (rad), `depth_changed` and
+        `spectrum_changed`. NaN and False where either image has no reliable value.
 
     Raises
     ------
     HueflightError
-        If the images come from different instruments or differ in shape or bands.
+        If the images come from different instruments or differ in shape or bands, or the rate lies
+        outside 0..1.
 
     Notes
     -----
@@ -74,11 +78,23 @@ def compare(
 
 
 def spectral_angle(first: xr.DataArray, second: xr.DataArray, /) -> xr.DataArray:
-    """Angle between spectra over `band`, radians; blind to brightness.
+    """Compute the angle between spectra, which does not depend on their brightness.
 
-    Bands without a value in either are left out. Kruse et al., Remote Sens. Environ. 44, 145
-    (1993).
+    Bands without a value in either spectrum are left out. Kruse et al., Remote Sens. Environ. 44,
+    145 (1993).
 
+    Parameters
+    ----------
+    first, second : DataArray, dims (..., band)
+        Spectra; other dimensions are broadcast.
+
+    Returns
+    -------
+    DataArray
+        Angles in radians over the other dimensions; NaN where either spectrum is 0 or unknown.
+
+    Examples
+    --------
     >>> red = xr.DataArray([0.2, 0.6], dims="band")
     >>> print(spectral_angle(red, 2 * red).item())
     0.0
@@ -95,10 +111,24 @@ def spectral_angle(first: xr.DataArray, second: xr.DataArray, /) -> xr.DataArray
 
 
 def discoveries(probabilities: NDArray[np.floating], rate: float, /) -> NDArray[np.bool_]:
-    """Which null hypotheses to reject so that a share of at most `rate` is rejected wrongly.
+    """Decide which null hypotheses to reject at a given false discovery rate.
 
-    NaN is never rejected. Benjamini and Hochberg, J. R. Stat. Soc. B 57, 289 (1995).
+    Benjamini and Hochberg, J. R. Stat. Soc. B 57, 289 (1995).
 
+    Parameters
+    ----------
+    probabilities : ndarray of float
+        Probability of each observation under its null hypothesis; NaN where there is none.
+    rate : float
+        Expected share of wrong rejections among all rejections.
+
+    Returns
+    -------
+    ndarray of bool
+        True where to reject, in the shape of `probabilities`; never for NaN.
+
+    Examples
+    --------
     >>> discoveries(np.array([0.001, 0.03, 0.5, np.nan]), 0.05).tolist()
     [True, True, False, False]
     """

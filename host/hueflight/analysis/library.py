@@ -1,4 +1,4 @@
-"""Measured spectra against a library of reference spectra."""
+"""Comparison of measured spectra with a library of reference spectra."""
 
 from __future__ import annotations
 
@@ -28,9 +28,12 @@ class SpectralLibrary:
 
     Attributes
     ----------
-    names : of the entries.
-    wavelengths_nm : (wavelength,), rising.
-    reflectance : (entry, wavelength), 0 to 1 (fluorescence may exceed it).
+    names : tuple of str
+        Names of the entries.
+    wavelengths_nm : ndarray of float, shape (wavelength,)
+        Wavelengths in ascending order, nm.
+    reflectance : ndarray of float, shape (entry, wavelength)
+        Reflectances, 0 to 1; fluorescent surfaces may exceed 1.
     """
 
     names: tuple[str, ...]
@@ -51,12 +54,27 @@ class SpectralLibrary:
 
     @classmethod
     def load(cls, path: str | Path, /) -> SpectralLibrary:
-        """From CSV: a first column of wavelengths in nm, then one column per named spectrum.
+        """Read a library from a CSV file.
+
+        The first line holds a heading for the wavelengths and the names of the entries; each
+        further line a wavelength in nm and the reflectance of every entry. Lines that start with #
+        are comments.
+
+        Parameters
+        ----------
+        path : str or Path
+            Name of the file.
+
+        Returns
+        -------
+        SpectralLibrary
+            The library.
 
         Raises
         ------
         FileFormatError
-            If there is no such file, or a line holds no numbers, saying which.
+            If the file can't be read, or a line does not hold the right numbers; the message says
+            which.
         """
         path = Path(path)
         try:
@@ -89,17 +107,44 @@ class SpectralLibrary:
 
     @classmethod
     def colorchecker(cls) -> SpectralLibrary:
-        """The 24 patches of a ColorChecker, as the simulator paints them."""
+        """Make a library of the 24 patches of a ColorChecker, with the spectra of the simulator.
+
+        Returns
+        -------
+        SpectralLibrary
+            One entry for each patch; see `hueflight.color.color_chart.patch_reflectances`.
+        """
         return cls(tuple(PATCHES), WAVELENGTH_NM, patch_reflectances())
 
     def at(self, wavelengths_nm: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Reflectance (entry, wavelength) elsewhere, straight between points, level beyond."""
+        """Interpolate the spectra linearly at other wavelengths.
+
+        Parameters
+        ----------
+        wavelengths_nm : ndarray of float, shape (wavelength,)
+            Wavelengths, nm.
+
+        Returns
+        -------
+        ndarray of float, shape (entry, wavelength)
+            Reflectances; beyond the ends of the library those at the ends.
+        """
         return np.array(
             [np.interp(wavelengths_nm, self.wavelengths_nm, entry) for entry in self.reflectance]
         )
 
     def in_bands(self, instrument: Instrument) -> xr.DataArray:
-        """What the instrument would measure of each entry, (entry, band).
+        """Compute what an instrument would measure of each entry.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument whose bands are used.
+
+        Returns
+        -------
+        DataArray, dims (entry, band)
+            Reflectances.
 
         Raises
         ------
@@ -118,30 +163,34 @@ class SpectralLibrary:
 
 
 def match(spectra: xr.DataArray, library: SpectralLibrary, instrument: Instrument, /) -> xr.Dataset:
-    """Each measured spectrum's likeness to every entry of a library.
+    """Compare measured spectra with every entry of a library.
 
     Parameters
     ----------
-    spectra : (…, band) reflectances, such as `image["reflectance"]` or those of regions.
-    library : reference spectra.
-    instrument : whose bands they were measured in.
+    spectra : DataArray, dims (..., band)
+        Reflectances, such as ``image["reflectance"]`` or those of regions.
+    library : SpectralLibrary
+        Reference spectra.
+    instrument : Instrument
+        Instrument that measured the spectra.
 
     Returns
     -------
-    Dataset with `angle` (…, entry), radians, which is blind to brightness; `delta_e` (…,
-    entry), CIEDE2000 under CIE illuminant C, of the colours that band values and library bands
-    give through the same map; `best` (…), the name of the smallest angle, empty where nothing
-    is known. `delta_e` is NaN without a band between 400 and 700 nm.
+    Dataset
+        `angle` (..., entry): spectral angle in radians, which does not depend on brightness;
+        `delta_e` (..., entry): CIEDE2000 difference under CIE illuminant C of the colours that
+        measured and library bands give through the same map, NaN without a band between 400 and
+        700 nm; `best` (...): name of the entry of the smallest angle, empty where no band is known.
 
     Raises
     ------
     HueflightError
-        If the bands don't fit.
+        If the number of bands differs, or a band lies outside the library's wavelengths.
 
     Notes
     -----
     Colours come from a Wiener estimate of the smooth spectrum behind the bands (Pratt and
-    Mancill, Appl. Opt. 15, 73, 1976), with bands at negative values taken as 0.
+    Mancill, Appl. Opt. 15, 73, 1976), with negative reflectances taken as 0.
     """
     if spectra.sizes.get("band") != len(instrument.bands):
         raise HueflightError(
@@ -172,10 +221,22 @@ def match(spectra: xr.DataArray, library: SpectralLibrary, instrument: Instrumen
 
 
 def bands_to_xyz(instrument: Instrument, *, noise: float = NOISE) -> NDArray[np.float64]:
-    """Map (3, band) from band reflectances to XYZ under CIE illuminant C; white has Y = 1.
+    """Compute the map from band reflectances to XYZ under CIE illuminant C.
 
-    The spectrum is taken as smooth, of unknown level; with more `noise` (standard deviation
-    of a band) the map relies more on that.
+    The spectrum is assumed to be smooth, of unknown level.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose bands are mapped.
+    noise : float
+        Standard deviation of a band's reflectance. The larger it is, the more the map relies on the
+        smoothness.
+
+    Returns
+    -------
+    ndarray of float, shape (3, band)
+        Weights for X, Y and Z; white has Y = 1.
     """
     model = SpectralModel.of(instrument)
     return model.linear(model.to_xyz(illuminant="C"), noise=noise)

@@ -1,4 +1,4 @@
-"""Cuts through an image along a row or a column."""
+"""Profiles of an image along a row or a column."""
 
 from __future__ import annotations
 
@@ -12,23 +12,28 @@ from hueflight.files.image_schema import finite
 def profile(
     image: xr.Dataset, /, *, row: int | None = None, col: int | None = None, half_width: int = 0
 ) -> xr.Dataset:
-    """Depth and reflectance along one row or one column.
+    """Extract depth and reflectance along one row or one column.
 
     Parameters
     ----------
-    image : one image, or a series.
-    row, col : which; give one of them.
-    half_width : so many neighbours on either side are averaged in.
+    image : Dataset
+        Image or series as `hueflight.reconstruct` gives.
+    row, col : int or None
+        Index of the row or of the column; give exactly one of them.
+    half_width : int
+        Number of neighbouring rows or columns on either side to average over.
 
     Returns
     -------
-    Dataset over the other direction with `depth`, `depth_std` (m), `reflectance` and
-    `reflectance_std`; NaN where no reliable pixel lies in the cut.
+    Dataset
+        Over the other direction: `depth`, `depth_std` (m), `reflectance` and `reflectance_std`
+        (standard errors of the mean); NaN where no reliable pixel lies in the profile.
 
     Raises
     ------
     HueflightError
-        If not exactly one of row and col is given, or it lies outside the image.
+        If not exactly one of `row` and `col` is given, or it lies outside the image, or
+        `half_width` is negative.
     """
     if (row is None) == (col is None):
         raise HueflightError(f"row = {row!r}, col = {col!r}: give exactly one of them")

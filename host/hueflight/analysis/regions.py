@@ -1,4 +1,4 @@
-"""Mean spectra and distances of named regions of an image, with their errors."""
+"""Mean spectra and distances of named regions of an image, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -20,25 +20,38 @@ UNRELIABLE = Quality.DEAD | Quality.HOT | Quality.SATURATED | Quality.AMBIGUOUS 
 
 
 def reliable(image: xr.Dataset, /) -> xr.DataArray:
-    """Pixels (…, row, col) whose flags say nothing against averaging them."""
+    """Find the pixels whose quality flags allow averaging.
+
+    Parameters
+    ----------
+    image : Dataset
+        Image or series as `hueflight.reconstruct` gives.
+
+    Returns
+    -------
+    DataArray of bool, dims (..., row, col)
+        False where a pixel is dead, hot, saturated, ambiguous or skipped.
+    """
     return (image["quality"] & int(UNRELIABLE)) == 0
 
 
 def region_spectra(image: xr.Dataset, regions: Mapping[str, Region], /) -> xr.Dataset:
-    """Mean reflectance and depth of each region.
+    """Average reflectance and depth over each region.
 
     Parameters
     ----------
-    image : one image, or a series with a leading dimension.
-    regions : name → mask (row, col), or a pair of slices (rows, columns).
+    image : Dataset
+        One image as `hueflight.reconstruct` gives, or a series with a leading dimension.
+    regions : mapping of str to Region
+        Boolean mask (row, col), or a pair of slices (rows, columns), by name.
 
     Returns
     -------
-    Dataset over (region, band) with `reflectance`, its standard error `reflectance_std` by the
-    photons' noise, and `reflectance_scatter`, the standard deviation from pixel to pixel,
-    which texture and uneven light widen; over (region,) `depth`, `depth_std`,
-    `depth_scatter` (m) and `pixels`. Unreliable pixels (dead, hot, saturated, ambiguous,
-    skipped) are left out.
+    Dataset
+        Over (region, band): `reflectance`, its standard error by photon noise `reflectance_std`,
+        and `reflectance_scatter`, the standard deviation from pixel to pixel, which texture and
+        uneven light increase. Over (region,): `depth`, `depth_std`, `depth_scatter` (m) and
+        `pixels`. Pixels that are not `reliable` are left out.
 
     Raises
     ------
@@ -64,12 +77,26 @@ def region_spectra(image: xr.Dataset, regions: Mapping[str, Region], /) -> xr.Da
 def region_mask(
     region: Region, shape: tuple[int, int], *, name: str = "region"
 ) -> NDArray[np.bool_]:
-    """The mask (row, col) of a region given as mask or slices.
+    """Convert a region to a mask.
+
+    Parameters
+    ----------
+    region : Region
+        Boolean mask (row, col), or a pair of slices (rows, columns).
+    shape : tuple of int
+        Rows and columns of the image.
+    name : str
+        Name of the region in errors.
+
+    Returns
+    -------
+    ndarray of bool, shape (row, col)
+        True inside the region.
 
     Raises
     ------
     HueflightError
-        If it does not fit the image, or holds no pixel of it.
+        If the region does not fit the image, or holds no pixel of it.
     """
     if isinstance(region, tuple):
         mask = np.zeros(shape, dtype=bool)
@@ -87,15 +114,30 @@ def region_mask(
 
 
 def parse_region(text: str) -> tuple[str, tuple[slice, slice]]:
-    """Name and slices of a region written ``NAME=ROW:ROW,COL:COL`` (from : up to, not with).
+    """Parse a region written as ``NAME=ROW:ROW,COL:COL``.
 
-    >>> parse_region("wall=20:60,:40")
-    ('wall', (slice(20, 60, None), slice(None, 40, None)))
+    Parameters
+    ----------
+    text : str
+        Name, first row and the row after the last, then the same for columns. Ends may be left out,
+        as in a slice.
+
+    Returns
+    -------
+    name : str
+        Name of the region.
+    slices : tuple of slice
+        Rows and columns.
 
     Raises
     ------
     HueflightError
-        If it is written otherwise.
+        If the text has another form.
+
+    Examples
+    --------
+    >>> parse_region("wall=20:60,:40")
+    ('wall', (slice(20, 60, None), slice(None, 40, None)))
     """
     name, _, ranges = text.partition("=")
     parts = ranges.split(",")

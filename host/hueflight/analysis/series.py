@@ -1,4 +1,4 @@
-"""Captures one after another: stacked into a series, and how things in it change."""
+"""Series of captures: stacking images, and trends in them."""
 
 from __future__ import annotations
 
@@ -21,19 +21,27 @@ def stack(
     names: Sequence[str] | None = None,
     time: ArrayLike | None = None,
 ) -> xr.Dataset:
-    """A series of images along the dimension `capture`.
+    """Stack images along a new dimension `capture`.
 
     Parameters
     ----------
-    images : of one instrument, in order.
-    names : of the captures; by default their numbers.
-    time : (capture,) when each was taken, seconds or `datetime64`; coordinate `time`.
+    images : sequence of Dataset
+        Images of one instrument, in order.
+    names : sequence of str or None
+        Names of the captures; None for their numbers.
+    time : array_like or None, shape (capture,)
+        When each image was taken, in seconds or as `datetime64`; becomes the coordinate `time`.
+
+    Returns
+    -------
+    Dataset
+        The series.
 
     Raises
     ------
     HueflightError
-        If there are no images, their instruments or shapes differ, or names or times are not
-        one for each.
+        If there are no images, their instruments or shapes differ, or there is not one name or time
+        for each image.
     """
     if not images:
         raise HueflightError("a series needs at least one image")
@@ -65,19 +73,21 @@ def stack(
 
 
 def trend(values: xr.DataArray, deviations: xr.DataArray, /) -> xr.Dataset:
-    """Straight line through a series by weighted least squares, for each pixel or region.
+    """Fit a straight line through a series by weighted least squares, for each pixel or region.
 
     Parameters
     ----------
-    values, deviations : (capture, …) measured values and their standard deviations, such as
-        two variables of a series or of its `region_spectra`; coordinate `time` gives the
-        times (else captures count 0, 1, …).
+    values, deviations : DataArray, dims (capture, ...)
+        Measured values and their standard deviations, such as two variables of a series or of its
+        `region_spectra`. The coordinate `time` gives the times; without it captures are numbered
+        0, 1, and so on.
 
     Returns
     -------
-    Dataset with `slope` and `slope_std` (per second, or per capture), `mean` at the middle
-    time with `mean_std`, and `chi2_per_degree`: near 1 where a line explains the values, NaN
-    for two captures. NaN where fewer than two captures have a value.
+    Dataset
+        `slope` and `slope_std` (per second, or per capture), `mean` at the weighted mean time with
+        `mean_std`, and `chi2_per_degree`: near 1 where a line explains the values, NaN for two
+        captures. All are NaN where fewer than two captures have a value.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Transmittance: the same instrument looking through a sample instead of at one.
+"""Transmittance: the same instrument with a sample in the path of its light.
 
 The reference is the light without the sample. What `reconstruct` then calls reflectance is the
-share of the light that the sample lets through, and its delay is that of a longer optical path.
-The paper names this use in its introduction.
+share of the light that the sample transmits, and its delay is that of a longer optical path.
+The paper mentions this use in its introduction.
 """
 
 from __future__ import annotations
@@ -16,26 +16,30 @@ from hueflight.model.instrument import Instrument
 
 
 def transmittance(image: xr.Dataset, /, *, instrument: Instrument | None = None) -> xr.Dataset:
-    """Transmittance and absorbance of a sample in every band.
+    """Compute the transmittance and absorbance of a sample in every band.
 
     Parameters
     ----------
-    image : reconstructed from a capture through the sample, with a calibration whose
-        reference is the light without it, both set up alike.
-    instrument : whose lens gives the directions; by default as the image describes.
+    image : Dataset
+        Image reconstructed from a capture through the sample, with a calibration whose reference is
+        the light without it; both with the same setup.
+    instrument : Instrument or None
+        Instrument whose lens gives the directions of the rays; None to read it from the image.
 
     Returns
     -------
-    Dataset with `transmittance` (1) and `absorbance` (−log₁₀ of it), each with `_std`, and
-    `optical_path` with `_std`: how much longer the light's path is than without the sample,
-    m; for light that passes once through a slab of index n and thickness d it is (n − 1) d.
-    Absorbance is NaN where no light came through. Neither holds for a reconstruction with
-    `range_correction`, which would take the delay for a distance.
+    Dataset
+        `transmittance` (1) and `absorbance` (−log₁₀ of it), `optical_path` (m), each with its
+        standard deviation in a variable ending in `_std`, and `quality`. Absorbance is NaN where no
+        light was transmitted. The optical path is the additional one caused by the sample; for
+        light that passes once through a plate of refractive index n and thickness d it is (n − 1)
+        d.
 
     Raises
     ------
     HueflightError
-        If the image was made with range correction, or does not say its reference distance.
+        If the image was reconstructed with range correction, which would take the delay for a
+        distance, or does not say its reference distance.
     """
     require_image(image)
     if image.attrs.get("range_correction"):

@@ -50,9 +50,10 @@ def calibrate(
 
     Put a flat, matt target in front of the camera, perpendicular to the optical axis, let it fill
     the image, measure its distance with a tape measure, and record it with all LEDs on: this is
-    `reference`, all that is required. Everything else improves the result: one capture per LED is the best addition
-    where pulses overlap; a capture in the dark finds more hot pixels; a capture under steady light
-    measures the widths of the bins; measured emission spectra make colours more accurate.
+    `reference`, all that is required. Everything else improves the result: one capture per LED is
+    the best addition where pulses overlap; a capture in the dark finds more hot pixels; a capture
+    under steady light measures the widths of the bins; measured emission spectra make colours more
+    accurate.
 
     Parameters
     ----------

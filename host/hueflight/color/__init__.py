@@ -1,4 +1,4 @@
-"""From bands to spectra and colours, with what the widths of LEDs hid undone."""
+"""From bands to spectra and colours, with the smoothing by the LEDs' spectral widths undone."""
 
 from hueflight.color.observer import srgb_of, tristimulus
 from hueflight.color.picture import color_picture, in_color

@@ -1,4 +1,4 @@
-"""How different two colours look: CIELAB and CIEDE2000."""
+"""Perceived difference of two colours: CIELAB and CIEDE2000."""
 
 from __future__ import annotations
 
@@ -9,10 +9,22 @@ _LINEAR_BELOW = (6 / 29) ** 3  #: relative luminance below which lightness is li
 
 
 def lab(xyz: ArrayLike, /, *, white: ArrayLike) -> NDArray[np.float64]:
-    """CIELAB (…, 3) of tristimulus values (…, 3) relative to those of white (3,).
+    """Convert tristimulus values to CIELAB (CIE 15:2018, section 8.2.1).
 
-    CIE 15:2018, section 8.2.1.
+    Parameters
+    ----------
+    xyz : array_like, shape (..., 3)
+        Tristimulus values X, Y, Z.
+    white : array_like, shape (3,)
+        Tristimulus values of white, on the same scale.
 
+    Returns
+    -------
+    ndarray of float, shape (..., 3)
+        L*, a* and b*.
+
+    Examples
+    --------
     >>> print(lab([0.2, 0.2, 0.2], white=[1, 1, 1]).round(2))
     [51.84  0.    0.  ]
     """
@@ -24,10 +36,23 @@ def lab(xyz: ArrayLike, /, *, white: ArrayLike) -> NDArray[np.float64]:
 
 
 def delta_e_2000(first: ArrayLike, second: ArrayLike, /) -> NDArray[np.float64]:
-    """CIEDE2000 difference (…) of CIELAB colours (…, 3); 1 is about the least one can see.
+    """Compute the CIEDE2000 difference of CIELAB colours.
 
-    Sharma, Wu and Dalal, Color Res. Appl. 30, 21 (2005), whose equation numbers are given.
+    Sharma, Wu and Dalal, Color Res. Appl. 30, 21 (2005), whose equation numbers the code gives. A
+    difference of 1 is just noticeable.
 
+    Parameters
+    ----------
+    first, second : array_like, shape (..., 3)
+        L*, a* and b* of the colours to compare.
+
+    Returns
+    -------
+    ndarray of float, shape (...)
+        Differences ΔE₀₀.
+
+    Examples
+    --------
     >>> print(delta_e_2000([50, 2.6772, -79.7751], [50, 0, -82.7485]).round(4))
     2.0425
     """

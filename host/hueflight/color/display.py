@@ -1,4 +1,4 @@
-"""Pictures for people: missing pixels filled, three bands as RGB. Never used for numbers."""
+"""Pictures for display: missing pixels filled, three bands as RGB. Not for measurements."""
 
 from __future__ import annotations
 
@@ -14,7 +14,18 @@ MAX_FILL_ROUNDS = 8  #: holes wider than twice this many pixels stay holes
 
 
 def fill_missing(plane: NDArray[np.floating]) -> NDArray[np.float64]:
-    """NaN pixels (row, col) replaced by the mean of their known neighbours, round by round."""
+    """Replace missing pixels by the weighted mean of their known neighbours, ring by ring.
+
+    Parameters
+    ----------
+    plane : ndarray of float, shape (row, col)
+        Values; NaN where missing.
+
+    Returns
+    -------
+    ndarray of float, shape (row, col)
+        Values with holes filled, except the middle of holes wider than 16 pixels.
+    """
     filled = np.array(plane, dtype=np.float64)
     around = np.array([[0.5, 1, 0.5], [1, 0, 1], [0.5, 1, 0.5]])
     for _ in range(MAX_FILL_ROUNDS):
@@ -31,24 +42,29 @@ def fill_missing(plane: NDArray[np.floating]) -> NDArray[np.float64]:
 def three_band_rgb(
     image: xr.Dataset, /, *, wavelengths_nm: ArrayLike = PAPER_RGB_NM, gamma: float = 2.2
 ) -> NDArray[np.float64]:
-    """The paper's picture: three bands as red, green and blue, hot pixels interpolated.
+    """Show three bands as red, green and blue, with missing pixels interpolated.
 
-    Each channel is scaled so that 98 % of its pixels fit the screen. For illustration only:
-    three narrow bands are no colour measurement.
+    This is the picture of the paper's Fig. 4(j). Each channel is scaled so that 98 % of its pixels
+    are in range. For illustration only: three narrow bands are no colour measurement.
 
     Parameters
     ----------
-    image : as `reconstruct` gives.
-    wavelengths_nm : of the bands for red, green, blue; the nearest band is taken.
+    image : Dataset
+        Image as `hueflight.reconstruct` gives.
+    wavelengths_nm : array_like, shape (3,)
+        Wavelengths for red, green and blue, nm; the nearest band is taken for each.
+    gamma : float
+        Exponent of the display; values are raised to its reciprocal.
 
     Returns
     -------
-    (row, col, 3) in 0..1.
+    ndarray of float, shape (row, col, 3)
+        Red, green and blue in 0..1.
 
     Raises
     ------
     HueflightError
-        If the image has no band with light.
+        If one of the bands has no pixel with a value.
     """
     available = image["wavelength"].values
     bands = [int(np.argmin(np.abs(available - w))) for w in np.atleast_1d(wavelengths_nm)]
@@ -67,7 +83,18 @@ def three_band_rgb(
 
 
 def wavelength_colour(wavelength_nm: float) -> tuple[float, float, float]:
-    """A screen colour (r, g, b in 0..1) that reminds of a wavelength; grey outside the visible."""
+    """Choose a screen colour that represents a wavelength.
+
+    Parameters
+    ----------
+    wavelength_nm : float
+        Wavelength, nm.
+
+    Returns
+    -------
+    tuple of float
+        Red, green and blue in 0..1; grey outside the visible.
+    """
     anchors_nm = [400, 420, 445, 470, 498, 525, 570, 597, 623, 645, 680]
     red = [0.42, 0.45, 0.22, 0.05, 0.00, 0.10, 0.70, 0.95, 0.93, 0.85, 0.60]
     green = [0.10, 0.15, 0.30, 0.45, 0.65, 0.65, 0.70, 0.65, 0.38, 0.15, 0.08]

@@ -92,7 +92,7 @@ def srgb_of(xyz: ArrayLike, /) -> NDArray[np.float64]:
     Returns
     -------
     ndarray of float, shape (..., 3)
-        sRGB in 0..1.
+        Red, green and blue (sRGB) in 0..1.
     """
     return encoded(linear_of(xyz))
 

@@ -1,4 +1,4 @@
-"""Images in colour: every visible band behind each sRGB value."""
+"""Images in colour: every visible band contributes to each sRGB value."""
 
 from __future__ import annotations
 
@@ -25,13 +25,26 @@ def in_color(
     instrument: Instrument | None = None,
     emission: Emission | None = None,
 ) -> xr.DataArray:
-    """XYZ (row, col, xyz) of an image under D65, reflectance 1 at Y = 1; NaN where unknown.
+    """Compute the tristimulus values of an image under illuminant D65.
 
     Parameters
     ----------
-    image : as `reconstruct` gives; one image or a series.
-    instrument : whose bands they are; by default as the image describes.
-    emission : measured spectra of its LEDs; by default of the widths that it states.
+    image : Dataset
+        Image or series as `hueflight.reconstruct` gives.
+    instrument : Instrument or None
+        Instrument whose bands the image holds; None to read it from the image.
+    emission : Emission or None
+        Measured spectra of its LEDs; None for those that the instrument states.
+
+    Returns
+    -------
+    DataArray, dims (..., row, col, xyz)
+        X, Y and Z as float32; reflectance 1 has Y = 1. NaN where no band is known.
+
+    Raises
+    ------
+    HueflightError
+        If the image does not name its instrument, or the emission is not that instrument's.
     """
     source = instrument_of(image, instrument)
     model = SpectralModel.of(source, emission).of_bands(_bands(image, source))
@@ -59,15 +72,26 @@ def color_picture(
     emission: Emission | None = None,
     white: float | None = None,
 ) -> NDArray[np.float64]:
-    """Display values sRGB (row, col, 3) in 0..1 from all bands; small holes are filled.
+    """Render an image in colour from all bands, with small holes filled.
 
-    An instrument with fewer than three visible bands has no colours: its picture is the one
-    of three bands, `display.three_band_rgb`, in false colours.
+    An instrument with fewer than three visible bands has no colours: its picture shows three bands
+    in false colours (`hueflight.color.display.three_band_rgb`).
 
     Parameters
     ----------
-    image, instrument, emission : see `in_color`.
-    white : reflectance shown as white; by default so that 98 % of the pixels fit the screen.
+    image : Dataset
+        Image as `hueflight.reconstruct` gives.
+    instrument : Instrument or None
+        Instrument whose bands the image holds; None to read it from the image.
+    emission : Emission or None
+        Measured spectra of its LEDs; None for those that the instrument states.
+    white : float or None
+        Reflectance shown as white; None so that 98 % of the pixels are in range.
+
+    Returns
+    -------
+    ndarray of float, shape (row, col, 3)
+        Display values sRGB in 0..1.
 
     Raises
     ------

@@ -1,10 +1,10 @@
-"""The spectrum behind the bands: a Wiener estimate that trusts each band as far as its photons go.
+"""Spectra from bands: a Wiener estimate that weighs each band by its noise.
 
-A band sees the mean of a reflectance under its LED's spectrum: some tens of nanometres wide,
-overlapping the neighbours'. With a prior of smooth spectra and the bands' own noise the linear
-estimate of least error is x ↦ m + P Sᵀ(S P Sᵀ + N)⁻¹(x − S m) (Pratt and Mancill, Appl. Opt. 15,
-73, 1976). The prior here is relative to a surface's own brightness, so that dark surfaces are not
-taken for noise and the light level doesn't matter.
+A band measures the mean of a reflectance under its LED's spectrum, which is some tens of
+nanometres wide and overlaps its neighbours'. With a prior of smooth spectra and the noise of the
+bands, the linear estimate of least error is x ↦ m + P Sᵀ(S P Sᵀ + N)⁻¹(x − S m) (Pratt and
+Mancill, Appl. Opt. 15, 73, 1976). The prior here is relative to a surface's own brightness, so
+that dark surfaces are not taken for noise and the light level does not matter.
 """
 
 from __future__ import annotations
@@ -35,13 +35,16 @@ UNKNOWN = 1e6  #: variance of a band that says nothing
 
 @dataclass(frozen=True, eq=False)
 class SpectralModel:
-    """What an instrument's bands see of a spectrum, and what spectra are like.
+    """How an instrument's bands sample a spectrum, and a prior of spectra.
 
     Attributes
     ----------
-    shares : (band, node) share of each band's detected photons at `NODES_NM`.
-    brightness : (band,) photons of a white surface, adding up to 1.
-    wavelengths_nm : (band,) nominal.
+    shares : ndarray of float, shape (band, node)
+        Share of each band's detected photons at `NODES_NM`; each row sums to 1.
+    brightness : ndarray of float, shape (band,)
+        Relative photons of each band from a white surface; they sum to 1.
+    wavelengths_nm : ndarray of float, shape (band,)
+        Nominal wavelength of each band, nm.
     """
 
     shares: NDArray[np.float64]
@@ -50,7 +53,20 @@ class SpectralModel:
 
     @classmethod
     def of(cls, instrument: Instrument, emission: Emission | None = None, /) -> SpectralModel:
-        """From measured emission spectra, or from the widths that the instrument states."""
+        """Make the model of an instrument.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            Instrument with the bands and the detector.
+        emission : Emission or None
+            Measured spectra of the LEDs; None for those that the instrument states.
+
+        Returns
+        -------
+        SpectralModel
+            Model of all bands.
+        """
         emission = Emission.nominal(instrument) if emission is None else emission
         brightness = instrument.band_brightness()
         return cls(
@@ -60,7 +76,18 @@ class SpectralModel:
         )
 
     def of_bands(self, bands: Sequence[int]) -> SpectralModel:
-        """The same with some of the bands only, in the order given."""
+        """Restrict the model to some of the bands.
+
+        Parameters
+        ----------
+        bands : sequence of int
+            Indices of the bands, in the wanted order.
+
+        Returns
+        -------
+        SpectralModel
+            Model of these bands.
+        """
         chosen = list(bands)
         brightness = self.brightness[chosen]
         return SpectralModel(
@@ -69,12 +96,28 @@ class SpectralModel:
 
     @property
     def correlation(self) -> NDArray[np.float64]:
-        """Of relative spectra between wavelengths, (node, node)."""
+        """Prior correlation of relative spectra between wavelengths, shape (node, node)."""
         apart = np.sqrt(3) * np.abs(NODES_NM[:, None] - NODES_NM) / LENGTH_NM
         return (1 + apart) * np.exp(-apart)
 
     def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Query (wavelength, node) for `recover`: the reflectance at single wavelengths."""
+        """Make the query for `recover` that asks for the reflectance at single wavelengths.
+
+        Parameters
+        ----------
+        wavelength_nm : array_like, shape (wavelength,)
+            Wavelengths, nm.
+
+        Returns
+        -------
+        ndarray of float, shape (wavelength, node)
+            Weights on the spectrum at `NODES_NM`.
+
+        Raises
+        ------
+        HueflightError
+            If a wavelength lies outside the nodes.
+        """
         wanted = np.atleast_1d(np.asarray(wavelength_nm, np.float64))
         if not ((wanted >= NODES_NM[0]) & (wanted <= NODES_NM[-1])).all():
             raise HueflightError(
@@ -86,7 +129,20 @@ class SpectralModel:
     def linear(
         self, query: NDArray[np.floating], *, noise: float = LEAST_NOISE
     ) -> NDArray[np.float64]:
-        """One map (query, band) for all pixels: the estimate for bands of one known noise."""
+        """Compute one linear map for all pixels: the estimate for bands of the same known noise.
+
+        Parameters
+        ----------
+        query : ndarray of float, shape (query, node)
+            Weights on the spectrum at `NODES_NM`, such as `at` and `to_xyz` give.
+        noise : float
+            Standard deviation of each band's reflectance.
+
+        Returns
+        -------
+        ndarray of float, shape (query, band)
+            Weights on the reflectances of the bands.
+        """
         # at the mean square reflectance of coloured surfaces
         prior = 0.1 * (VARIANCES[-1] * self.correlation + LEVEL_VARIANCE)
         seen = self.shares @ prior
@@ -103,20 +159,31 @@ class SpectralModel:
         *,
         per_photon: ArrayLike | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Any linear quantities of the spectrum behind measured bands, and their deviations.
+        """Estimate linear quantities of the spectrum behind measured bands, and their uncertainty.
 
         Parameters
         ----------
-        reflectance : (…, band) as `reconstruct` gives; NaN where a band is not known.
-        deviation : (…, band) its standard deviation.
-        query : (query, node) weights on the spectrum at `NODES_NM`: `at`, `tristimulus`.
-        per_photon : (…, band) reflectance that one photon stands for. With it the variances are
-            those of the expected photons and not of the counted ones, which matters where a
-            band holds few.
+        reflectance : array_like, shape (..., band)
+            Reflectances as `hueflight.reconstruct` gives; NaN where a band is not known.
+        deviation : array_like, shape (..., band)
+            Their standard deviations.
+        query : ndarray of float, shape (query, node)
+            Weights on the spectrum at `NODES_NM`, such as `at` and `to_xyz` give.
+        per_photon : array_like or None, shape (..., band)
+            Reflectance that one photon stands for. With it the variances are those of the expected
+            photons and not of the counted ones, which matters where a band holds few.
 
         Returns
         -------
-        Values and standard deviations (…, query); NaN where no band is known.
+        values : ndarray of float, shape (..., query)
+            The quantities; NaN where no band is known.
+        deviations : ndarray of float, shape (..., query)
+            Their standard deviations.
+
+        Raises
+        ------
+        HueflightError
+            If the shapes do not agree.
         """
         measured = np.asarray(reflectance, np.float64)
         variance = np.asarray(deviation, np.float64) ** 2
@@ -152,13 +219,25 @@ class SpectralModel:
         noise: NDArray[np.float64],
         query: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Mean and variance (…, query) of a query's difference from a level of 1.
+        """Compute a query's difference from a level of 1.
 
-        Each variance of the prior has its own answer; the evidence of the bands weighs them.
+        Each variance of the prior gives its own estimate; the evidence of the bands weighs them.
 
         Parameters
         ----------
-        off : (…, band) measured less 1; noise : (…, band) variance of it.
+        off : ndarray of float, shape (..., band)
+            Measured reflectance less 1.
+        noise : ndarray of float, shape (..., band)
+            Variance of it.
+        query : ndarray of float, shape (query, node)
+            Weights on the spectrum at `NODES_NM`.
+
+        Returns
+        -------
+        mean : ndarray of float, shape (..., query)
+            The estimate.
+        variance : ndarray of float, shape (..., query)
+            Its variance.
         """
         answers, variances, evidence = [], [], []
         correlation = self.correlation
@@ -183,5 +262,16 @@ class SpectralModel:
         return mean, (chance * spread).sum(axis=0)
 
     def to_xyz(self, *, illuminant: Illuminant = "D65") -> NDArray[np.float64]:
-        """Query (3, node) for `recover`: CIE 1931 XYZ, white at Y = 1."""
+        """Make the query for `recover` that asks for CIE 1931 tristimulus values.
+
+        Parameters
+        ----------
+        illuminant : {"D65", "C"}
+            The light under which the surface is seen.
+
+        Returns
+        -------
+        ndarray of float, shape (3, node)
+            Weights for X, Y and Z; white has Y = 1.
+        """
         return tristimulus(NODES_NM, illuminant=illuminant)

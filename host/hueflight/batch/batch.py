@@ -19,6 +19,7 @@ from hueflight.calibration import Calibration
 from hueflight.errors import BatchError
 from hueflight.export.description import calibration_origin
 from hueflight.files import staged
+from hueflight.importers.options import ReadOptions
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.recording.layout import split_segment_path
 
@@ -99,6 +100,7 @@ def reconstruct_many(
     scheduler: str | None = None,
     executor: Executor | None = None,
     options: Mapping[str, Any] | None = None,
+    reading: ReadOptions | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> BatchReport:
@@ -124,6 +126,8 @@ def reconstruct_many(
         Anything else that does the work, instead of either.
     options : mapping, optional
         Keywords of `reconstruct`, such as ``{"method": "joint"}``.
+    reading : ReadOptions, optional
+        What to take from files of counts; it applies to every capture.
     overwrite : bool, default False
         Whether to replace stores of the same name that were made from other captures.
     progress : Progress, optional
@@ -159,7 +163,7 @@ def reconstruct_many(
         local = LocalWorkers(workers if workers is not None else os.cpu_count() or 1)
         executor = local if scheduler is None else DaskCluster(scheduler)
     with _sole_user(out):
-        job = _job(calibration, out, options or {})
+        job = _job(calibration, out, options or {}, reading or ReadOptions())
         if not overwrite:
             _refuse_other_captures(job, chosen, _earlier_captures(out))
         for capture in chosen:
@@ -202,7 +206,8 @@ def _refuse_other_captures(job: Job, captures: Sequence[str], earlier: Mapping[s
         if key_of(store) != key:
             raise BatchError(
                 f"{store} was made from {made_from or 'another capture'}, not from {capture}: use "
-                "another folder for the results, or allow overwriting"
+                "another folder for the results, or allow overwriting (--overwrite, "
+                "overwrite=True)"
             )
 
 
@@ -225,7 +230,12 @@ def _whole_captures(paths: list[Path]) -> list[str]:
     return list(chosen.values())
 
 
-def _job(calibration: Calibration | str | Path, out: Path, options: Mapping[str, Any]) -> Job:
+def _job(
+    calibration: Calibration | str | Path,
+    out: Path,
+    options: Mapping[str, Any],
+    reading: ReadOptions,
+) -> Job:
     if isinstance(calibration, Calibration):
         path = out / CALIBRATION
         calibration.save(path, overwrite=True)
@@ -238,6 +248,7 @@ def _job(calibration: Calibration | str | Path, out: Path, options: Mapping[str,
         out=str(out.absolute()),
         options=dict(options),
         software=version("hueflight"),
+        reading=reading,
     )
 
 

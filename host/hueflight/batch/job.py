@@ -19,6 +19,7 @@ from hueflight.calibration import Calibration
 from hueflight.errors import FileFormatError, HueflightError
 from hueflight.export.description import calibration_origin
 from hueflight.files import PARTIAL_SUFFIX, verify_checksums
+from hueflight.importers.options import ReadOptions
 from hueflight.recording.layout import segment_files
 
 KEY = "task"  #: attribute of a store: digest of what it was made from, and how
@@ -41,6 +42,8 @@ class Job:
         Keywords of `reconstruct`.
     software : str
         Version of the software that makes the results.
+    reading : ReadOptions
+        What to take from files of counts.
     """
 
     calibration: str
@@ -48,6 +51,7 @@ class Job:
     out: str
     options: Mapping[str, Any]
     software: str
+    reading: ReadOptions = field(default_factory=ReadOptions)
 
     def store(self, capture: str) -> Path:
         """Path of the image of a capture.
@@ -81,11 +85,12 @@ class Job:
             (file.name, file.stat().st_size, file.stat().st_mtime_ns)
             for file in capture_files(Path(capture))
         ]
-        described = json.dumps(
-            [files, self.calibration_digest, dict(self.options), self.software],
-            sort_keys=True,
-            default=repr,
-        )
+        # the number of threads changes no result
+        options = {name: value for name, value in self.options.items() if name != "threads"}
+        parts = [files, self.calibration_digest, options, self.software]
+        if self.reading != ReadOptions():
+            parts.append(asdict(self.reading))
+        described = json.dumps(parts, sort_keys=True, default=repr)
         return hashlib.sha256(described.encode()).hexdigest()[:32]
 
 
@@ -168,6 +173,7 @@ def work(capture: str, job: Job) -> Outcome:
                 store,
                 calibration=_calibration(job.calibration, job.calibration_digest),
                 options=job.options,
+                reading=job.reading,
                 overwrite=True,
                 attributes={KEY: key, CAPTURE_PATH: str(Path(capture).absolute())},
             )
@@ -267,7 +273,7 @@ def capture_files(capture: Path) -> list[Path]:
     list of Path
         The segments of a recording, the parts of a store, or the file itself.
     """
-    if capture.suffix == ".mcap":
+    if capture.suffix.lower() == ".mcap":
         finished, _ = segment_files(capture)
         return finished or [capture]
     if capture.is_dir():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,11 @@ import xarray as xr
 
 from hueflight.calibration import Calibration
 from hueflight.export.description import describe
-from hueflight.export.stores import write_zarr
+from hueflight.export.formats import FORMATS
+from hueflight.export.stores import write_netcdf, write_zarr
 from hueflight.files import import_optional, refuse_existing, staged
 from hueflight.importers.captures import read_capture
+from hueflight.importers.options import ReadOptions
 from hueflight.progress import Progress, Silent, task
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.reconstruct import reconstruct
@@ -29,7 +31,7 @@ class FileResult:
     image : Dataset
         The image as it was written, in memory.
     store : Path
-        Zarr store that holds it.
+        Zarr store or NetCDF file that holds it.
     losses : mapping of str to int
         Number of packets or frames that the capture lacks, by reason; empty if it is complete.
     preview : Path or None
@@ -64,12 +66,13 @@ def reconstruct_file(
     *,
     calibration: Calibration | str | Path,
     options: Mapping[str, Any] | None = None,
+    reading: ReadOptions | None = None,
     preview: bool = False,
     overwrite: bool = False,
     attributes: Mapping[str, str] | None = None,
     progress: Progress | None = None,
 ) -> FileResult:
-    """Reconstruct one capture file into a Zarr store.
+    """Reconstruct one capture file into a Zarr store or a NetCDF file.
 
     Parameters
     ----------
@@ -77,11 +80,13 @@ def reconstruct_file(
         Recording (``.mcap``) or counts (``.npz``, ``.npy``, ``.zarr``, ``.h5``, ``.ptu``,
         ``.sdt``).
     out : str or Path
-        Store to write, ``NAME.zarr``.
+        Store to write, ``NAME.zarr``, or a NetCDF file, ``NAME.nc``.
     calibration : Calibration, str or Path
         Calibration of the same instrument, or the path of one.
     options : mapping, optional
         Keywords of `reconstruct`, such as ``{"method": "pooled"}``.
+    reading : ReadOptions, optional
+        What to take from a file of counts.
     preview : bool, default False
         Whether to write a picture ``NAME.png`` beside the store.
     overwrite : bool, default False
@@ -112,12 +117,15 @@ def reconstruct_file(
     if picture is not None:
         refuse_existing(picture, overwrite=overwrite)
         import_optional("matplotlib", extra="report")
+    netcdf = out.name.lower().endswith(FORMATS["netcdf"].endings)
+    if netcdf:
+        import_optional("h5netcdf", extra="export")
     shown = progress or Silent()
     with task(shown, "reading", 2):
         if not isinstance(calibration, Calibration):
             calibration = Calibration.load(calibration)
         shown.advance()
-        taken = read_capture(capture, calibration.instrument)
+        taken = read_capture(capture, calibration.instrument, **asdict(reading or ReadOptions()))
         shown.advance()
     with task(shown, "reconstructing", 1):
         image = reconstruct(taken.counts, calibration, **(options or {}))
@@ -130,7 +138,7 @@ def reconstruct_file(
         capture_losses=lost or "none",
         **(attributes or {}),
     )
-    write_zarr(image, out, overwrite=overwrite)
+    (write_netcdf if netcdf else write_zarr)(image, out, overwrite=overwrite)
     if picture is not None:
         _write_picture(image, calibration, picture, overwrite=overwrite)
     return FileResult(image, out, taken.losses, picture)

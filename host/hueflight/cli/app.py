@@ -90,6 +90,9 @@ def application(words: Sequence[str] = ()) -> App:
         version=_version,
         version_format="plaintext",
     )
+    app.register_install_completion_command(
+        help="Install completion of commands and options for the shell in use (bash, zsh or fish)."
+    )
     for name, summary in COMMANDS.items():
         app.command(
             f"hueflight.cli.{name}:{name}", name=name, help=None if name in words else summary

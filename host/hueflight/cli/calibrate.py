@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
 from hueflight.calibration import calibrate as calibrate_captures
+from hueflight.cli.choices import PRESETS
 from hueflight.cli.output import progress, show
 from hueflight.files import refuse_existing
 from hueflight.importers.captures import read_capture
+from hueflight.importers.options import AXES
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task
 
@@ -21,11 +23,21 @@ def calibrate(
     *,
     distance: Annotated[float, Parameter(name=["--distance", "-d"])],
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    instrument: str | None = None,
+    instrument: Annotated[
+        str | None,
+        Parameter(
+            help=f"Instrument of the captures: a preset ({PRESETS}) or the path of a TOML file. "
+            "Needed only where the reference capture does not name its instrument."
+        ),
+    ] = None,
     bands: Path | None = None,
     dark: Path | None = None,
     flat: Path | None = None,
     reflectance: Annotated[tuple[float, ...] | None, Parameter(negative_iterable=())] = None,
+    frames: float | None = None,
+    dataset: str | None = None,
+    axes: str = AXES,
+    channel: int | None = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -54,22 +66,36 @@ def calibrate(
     reflectance : tuple of float, optional
         Known reflectance of the target: one number, or one for each band (1 = white). Without
         it, the target counts as 1 in every band.
+    frames : float, optional
+        Number of exposures behind the reference. By default it is known only for a sensor that
+        reports its empty exposures, as the sum of the counts of a pixel.
+    dataset : str, optional
+        Name of the array in files of counts that hold several arrays, or number of the data block
+        in .sdt files. It applies to every capture of this command.
+    axes : str, default "row,col,code"
+        Names of the axes of the array in files of counts, in its order: row, col and code; frame
+        in place of code for raw codes; step in a capture of one LED at a time; a minus sign for
+        an axis of length one. The names apply to every capture of this command.
+    channel : int, optional
+        Detection channel of .ptu files, counted from 0. By default the only one with photons.
     overwrite : bool, default False
         Replace an existing calibration of that name.
     json : bool, default False
         Print one JSON object instead of a table.
     """
     refuse_existing(out, overwrite=overwrite)
+    options: dict[str, Any] = {"dataset": dataset, "axes": axes, "channel": channel}
     extra = {"bands": bands, "dark": dark, "flat": flat}
     given = {name: path for name, path in extra.items() if path is not None}
     shown = progress(json_wanted=json)
     with task(shown, "reading", 1 + len(given)):
         chosen = None if instrument is None else Instrument.load(instrument)
-        main = read_capture(reference, chosen)
+        main = read_capture(reference, chosen, **options)
         shown.advance()
         others = {}
         for name, path in given.items():
-            capture = read_capture(path, main.instrument, by_step=name == "bands")
+            by_step = name == "bands"
+            capture = read_capture(path, main.instrument, by_step=by_step, **options)
             others[name] = capture.counts
             shown.advance()
     known = None if reflectance is None else np.array(reflectance)
@@ -77,8 +103,9 @@ def calibrate(
         known = known[0]
     with task(shown, "calibrating", 1):
         calibration = calibrate_captures(
-            main.counts, main.instrument, distance=distance, reflectance=known, **others
-        )
+            main.counts, main.instrument, distance=distance, reflectance=known, frames=frames,
+            **others,
+        )  # fmt: skip
         calibration.save(out, overwrite=overwrite)
         shown.advance()
     show(

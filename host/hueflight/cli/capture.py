@@ -115,11 +115,14 @@ def capture(
     json : bool, default False
         Print one JSON object instead of a table.
     """
-    if out.suffix != ".mcap":
+    if out.suffix.lower() != ".mcap":
         raise CaptureError(f"{out}: the name of a recording must end in .mcap")
     for written in (out, out.with_suffix(".json")):
         if written.exists():  # photons can't be had again: a capture never overwrites
-            raise CaptureError(f"{written} exists already: choose another name for the recording")
+            raise CaptureError(
+                f"{str(written)!r} exists already: choose another name (a capture never replaces "
+                "a file)"
+            )
     described = Instrument.load(instrument)
     metadata = {"note": note} if note else {}
     if distance is not None:

@@ -6,13 +6,19 @@ from pathlib import Path
 
 from hueflight.cli.output import progress, show
 from hueflight.errors import HueflightError
+from hueflight.files import refuse_existing
 
 LEAST_FRAMES = 100
 PAGE, NUMBERS = "index.html", "figures.json"
 
 
 def demo(
-    *, out: Path = Path("out/demo"), frames: int = 10_000, seed: int = 1, json: bool = False
+    *,
+    out: Path = Path("out/demo"),
+    frames: int = 10_000,
+    seed: int = 1,
+    overwrite: bool = False,
+    json: bool = False,
 ) -> None:
     """Redraw the published figures from a simulated instrument, as a page with pictures.
 
@@ -25,6 +31,8 @@ def demo(
         Number of frames in each capture, at least 100. The published captures had 10000.
     seed : int, default 1
         Seed of the random numbers that draw the photons and the sensor's defects.
+    overwrite : bool, default False
+        Replace a page of that name that this command did not write.
     json : bool, default False
         Print the report's numbers as one JSON object instead of a table.
     """
@@ -32,11 +40,8 @@ def demo(
         raise HueflightError(
             f"--frames {frames}: the report needs at least {LEAST_FRAMES} frames per capture"
         )
-    if (out / PAGE).exists() and not (out / NUMBERS).exists():
-        raise HueflightError(
-            f"{out / PAGE} exists and is not part of a report of this command: choose another "
-            "folder"
-        )
+    if not (out / NUMBERS).exists():  # an earlier report is replaced
+        refuse_existing(out / PAGE, overwrite=overwrite)
     try:
         from hueflight.report import make_report
     except ImportError as error:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from hueflight.cli.output import show
+from hueflight.errors import ExportError
 from hueflight.export import FORMATS, write
+from hueflight.export.description import band_names
 from hueflight.importers import read_image
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _ENDINGS = ", ".join(f"{entry.endings[0]} ({entry.summary})" for entry in FORMATS.values())
 
@@ -29,6 +34,9 @@ def export(
             "By default the extension selects it.",
         ),
     ] = None,
+    variable: str | None = None,
+    band: str | None = None,
+    limits: Annotated[tuple[float, float] | None, Parameter(negative_iterable=())] = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -42,10 +50,37 @@ def export(
         File or folder to write.
     format : str, optional
         Name of the format.
+    variable : str, optional
+        What a .png shows: depth, depth_std, reflectance, reflectance_std, background, photons or
+        quality; rgb for colours, or three-band for the false colours of the paper. By default
+        depth.
+    band : str, optional
+        Name or number (from 0) of the band to draw as .png, for a variable that has bands.
+    limits : tuple of float, optional
+        Values at the ends of the colour scale of a .png: two numbers, such as 0.3 1.5. By default
+        they follow from the values.
     overwrite : bool, default False
         Replace existing files of that name.
     json : bool, default False
         Print one JSON object instead of a table.
     """
-    written = write(read_image(image), out, format=format, overwrite=overwrite)
+    loaded = read_image(image)
+    options: dict[str, Any] = {"variable": variable, "limits": limits}
+    if band is not None:
+        options["band"] = _band_number(loaded, band)
+    options = {name: value for name, value in options.items() if value is not None}
+    written = write(loaded, out, format=format, overwrite=overwrite, **options)
     show(f"Export of {image}", {"files": [str(path) for path in written]}, json_wanted=json)
+
+
+def _band_number(image: xr.Dataset, band: str) -> int:
+    """Position of a band in the image, by its name or its number."""
+    names = band_names(image)
+    if band in names:
+        return names.index(band)
+    if band.isdecimal() and int(band) < image.sizes["band"]:
+        return int(band)
+    raise ExportError(
+        f"--band {band}: the image has no such band; it has {', '.join(names)}, "
+        f"numbers 0 to {image.sizes['band'] - 1}"
+    )

@@ -10,8 +10,14 @@ from cyclopts import Parameter
 from hueflight.batch import BatchReport, reconstruct_file, reconstruct_many
 from hueflight.cli.choices import METHOD_NAMES
 from hueflight.cli.exit_codes import FAILED
-from hueflight.cli.output import progress, show
-from hueflight.errors import HueflightError
+from hueflight.cli.output import print_notice, progress, show
+from hueflight.errors import HueflightError, MissingPackageError
+from hueflight.export import FORMATS
+from hueflight.files import import_optional
+from hueflight.importers.options import AXES, ReadOptions
+
+IMAGE_FORMATS = ("zarr", "netcdf")  #: formats that hold a complete image
+IMAGE_ENDINGS = tuple(ending for name in IMAGE_FORMATS for ending in FORMATS[name].endings)
 
 
 def reconstruct(
@@ -31,6 +37,14 @@ def reconstruct(
     ] = None,
     range_correction: bool = False,
     pileup_correction: bool = True,
+    depth_range: Annotated[tuple[float, float] | None, Parameter(negative_iterable=())] = None,
+    frames: float | None = None,
+    bands: str | None = None,
+    region: str | None = None,
+    threads: int = 1,
+    dataset: str | None = None,
+    axes: str = AXES,
+    channel: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     preview: bool = True,
@@ -50,8 +64,8 @@ def reconstruct(
     calibration : Path
         Calibration of the instrument that made the captures, as `hueflight calibrate` writes it.
     out : Path
-        NAME.zarr for the image of one capture, or any other name for a folder that receives one
-        image for each capture.
+        NAME.zarr or NAME.nc (NetCDF) for the image of one capture, or the name of a folder that
+        receives one image NAME.zarr for each capture.
     method : str, optional
         Reconstruction method.
     range_correction : bool, default False
@@ -59,6 +73,29 @@ def reconstruct(
         target.
     pileup_correction : bool, default True
         Correct for photons that an exposure missed because an earlier one had been detected.
+    depth_range : tuple of float, optional
+        Nearest and farthest depth to search, in metres: two numbers, such as 0.3 1.5. By default
+        half the spacing of the pulses about the distance of the calibration target.
+    frames : float, optional
+        Number of exposures behind each capture. By default the sum of the counts of a pixel if the
+        sensor reports its empty exposures; otherwise as many as the reference had.
+    bands : str, optional
+        Names or numbers (from 0) of the bands to keep in the image, separated by commas, such as
+        red,green. By default all bands.
+    region : str, optional
+        Rows and columns to reconstruct, from 0 and without the last ones, such as 10:20,30:40 or
+        :,30:40. Other pixels have no result and are flagged as skipped. By default all pixels.
+    threads : int, default 1
+        Number of threads that share the pixels of an image; with several captures, each process
+        has as many.
+    dataset : str, optional
+        Name of the array in files of counts that hold several arrays, or number of the data block
+        in .sdt files.
+    axes : str, default "row,col,code"
+        Names of the axes of the array in files of counts, in its order: row, col and code; frame
+        in place of code for raw codes; a minus sign for an axis of length one.
+    channel : int, optional
+        Detection channel of .ptu files, counted from 0. By default the only one with photons.
     workers : int, optional
         Number of processes that share the captures of a folder. By default one for each
         processor core.
@@ -66,7 +103,8 @@ def reconstruct(
         Address of a Dask scheduler, such as tcp://head-node:8786, that reconstructs the captures
         of a folder instead of local processes.
     preview : bool, default True
-        Write a picture NAME.png beside the image of one capture.
+        Write a picture NAME.png beside the image of one capture. Without the package that draws
+        it, a message says so and only the image is written.
     overwrite : bool, default False
         Replace an existing image and picture; in a folder, also images that were made from
         another capture of the same name.
@@ -80,17 +118,27 @@ def reconstruct(
     """
     if not captures:
         raise HueflightError("no captures: name at least one recording or file of counts")
+    if threads < 1:
+        raise HueflightError(f"--threads {threads}: at least one thread is needed")
     options: dict[str, Any] = {
         "range_correction": range_correction,
         "pileup_correction": pileup_correction,
     }
-    if method is not None:
-        options["method"] = method
+    given = {
+        "method": method,
+        "depth_range": depth_range,
+        "frames": frames,
+        "bands": None if bands is None else [name.strip() for name in bands.split(",")],
+        "region": None if region is None else _slices(region),
+        "threads": None if threads == 1 else threads,
+    }
+    options |= {name: value for name, value in given.items() if value is not None}
+    reading = ReadOptions(dataset=dataset, axes=axes, channel=channel)
     shown = progress(json_wanted=json)
-    if out.suffix.lower() != ".zarr":
+    if not _names_one_image(out):
         report = reconstruct_many(
             captures, out, calibration=calibration, workers=workers, scheduler=scheduler,
-            options=options, overwrite=overwrite, progress=shown,
+            options=options, reading=reading, overwrite=overwrite, progress=shown,
         )  # fmt: skip
         show(f"Batch {out}", _batch_summary(report, everything=json), json_wanted=json)
         return FAILED if report.failed else 0
@@ -100,11 +148,48 @@ def reconstruct(
             f"--out {out} names one image, but there are {len(captures)} captures: name a folder"
         )
     result = reconstruct_file(
-        capture, out, calibration=calibration, options=options, preview=preview,
-        overwrite=overwrite, progress=shown,
+        capture, out, calibration=calibration, options=options, reading=reading,
+        preview=preview and _can_draw(), overwrite=overwrite, progress=shown,
     )  # fmt: skip
     show(f"Image {out}", result.summary(), json_wanted=json)
     return 0
+
+
+def _names_one_image(out: Path) -> bool:
+    """Tell the name of an image from that of a folder of images; other formats are refused."""
+    name = out.name.lower()
+    for entry in FORMATS.values():
+        if name.endswith(entry.endings) and not out.is_dir():
+            if entry.name in IMAGE_FORMATS:
+                return True
+            raise HueflightError(
+                f"--out {out}: images are written as NAME.zarr or NAME.nc; write one of these, "
+                f"then convert it: hueflight export {out.stem}.zarr {out.name}"
+            )
+    return name.endswith(IMAGE_ENDINGS)
+
+
+def _slices(region: str) -> tuple[slice, slice]:
+    """Rows and columns of a region such as ``10:20,30:40``."""
+    parts = [part.strip().split(":") for part in region.split(",")]
+    numbers = [number.strip() for part in parts for number in part]
+    shaped = len(parts) == 2 and all(len(part) == 2 for part in parts)
+    if not shaped or not all(number.isdecimal() or not number for number in numbers):
+        raise HueflightError(
+            f"--region {region}: give rows and columns as FIRST:END,FIRST:END, such as 10:20,30:40"
+        )
+    top, bottom, left, right = (int(number) if number else None for number in numbers)
+    return slice(top, bottom), slice(left, right)
+
+
+def _can_draw() -> bool:
+    """Whether a preview can be drawn; a message says why not. The image is written either way."""
+    try:
+        import_optional("matplotlib", extra="report")
+    except MissingPackageError as error:
+        print_notice(f"no preview is drawn: {error}")
+        return False
+    return True
 
 
 def _batch_summary(report: BatchReport, *, everything: bool) -> dict[str, Any]:

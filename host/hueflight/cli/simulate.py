@@ -83,7 +83,8 @@ def simulate(
     refuse_existing(out, overwrite=overwrite)
     shown = progress(json_wanted=json)
     result = {"instrument": described.name, "capture": capture, "frames": frames}
-    if out.suffix == ".npz":
+    ending = out.suffix.lower()
+    if ending == ".npz":
         with task(shown, "simulating", 1):
             counts = simulator.simulate_capture(
                 capture, described, frames=frames, scene=simulated, settings=settings, seed=seed,
@@ -94,7 +95,7 @@ def simulate(
         result["photons"] = (
             int(counts[..., 1:].sum()) if described.sensor.reports_empty else int(counts.sum())
         )
-    elif out.suffix == ".mcap":
+    elif ending == ".mcap":
         packets = simulator.simulate_packets(
             capture, described, frames=frames, scene=simulated, settings=settings, seed=seed,
             **options,

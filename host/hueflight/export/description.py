@@ -53,6 +53,9 @@ def describe(image: xr.Dataset, calibration: Calibration, /, **more: str) -> xr.
             "calibration that the image was made with"
         )
     widths = [band.emission_fwhm_nm for band in instrument.bands]
+    if "band_name" in image.coords:  # some of the bands may have been selected, in any order
+        numbers = {band.name: number for number, band in enumerate(instrument.bands)}
+        widths = [widths[numbers[str(name)]] for name in image["band_name"].values]
     described = image.assign_coords(
         emission_fwhm=(
             "band",

@@ -2,6 +2,7 @@
 
 from hueflight.files.atomic import (
     PARTIAL_SUFFIX,
+    describe_existing,
     make_parent,
     refuse_existing,
     replace_file,
@@ -17,6 +18,7 @@ ZARR_FORMAT = 2
 __all__ = [
     "PARTIAL_SUFFIX",
     "ZARR_FORMAT",
+    "describe_existing",
     "import_optional",
     "make_parent",
     "refuse_existing",

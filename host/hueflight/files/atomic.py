@@ -145,10 +145,26 @@ def refuse_existing(target: Path, *, overwrite: bool = False) -> None:
         If there is one and it may not be replaced.
     """
     if not overwrite and target.exists():
-        raise OutputExistsError(
-            f"{str(target)!r} exists already: choose another name or allow overwriting "
-            "(--overwrite, overwrite=True)"
-        )
+        raise OutputExistsError(describe_existing(target))
+
+
+def describe_existing(target: Path) -> str:
+    """Give the message for a name that is taken, the same for every kind of output.
+
+    Parameters
+    ----------
+    target : Path
+        File or folder that exists.
+
+    Returns
+    -------
+    str
+        The message.
+    """
+    return (
+        f"{str(target)!r} exists already: choose another name or allow overwriting "
+        "(--overwrite, overwrite=True)"
+    )
 
 
 def _explained(target: Path, error: OSError) -> OutputError:

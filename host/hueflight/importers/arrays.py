@@ -91,7 +91,9 @@ def read_array(path: Path, dataset: str | None) -> tuple[NDArray[Any], Instrumen
 
 def _read_npy(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None]:
     if dataset is not None:
-        raise FileFormatError(f"{str(path)!r} holds one array without a name; leave dataset out")
+        raise FileFormatError(
+            f"{str(path)!r} holds one array without a name; leave dataset out (--dataset)"
+        )
     # no pickles: loading one can run any code
     return np.load(path, allow_pickle=False), None
 
@@ -117,7 +119,9 @@ def _read_zarr(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | Non
     text = _description(dict(node.attrs))
     if isinstance(node, zarr.Array):
         if dataset is not None:
-            raise FileFormatError(f"{str(path)!r} is one array; leave dataset = {dataset!r} out")
+            raise FileFormatError(
+                f"{str(path)!r} is one array; leave dataset = {dataset!r} out (--dataset)"
+            )
         return np.asarray(node[...]), text
     names = [name for name, member in node.members(max_depth=None) if hasattr(member, "dtype")]
     chosen = node[_choose(path, names, dataset)]
@@ -151,7 +155,8 @@ def _choose(path: Path, names: list[str], dataset: str | None) -> str:
     if COUNTS in names:
         return COUNTS
     raise FileFormatError(
-        f"{str(path)!r} holds {len(names)} arrays ({', '.join(names[:8])}): say which with dataset"
+        f"{str(path)!r} holds {len(names)} arrays ({', '.join(names[:8])}): say which with dataset "
+        "(--dataset)"
     )
 
 
@@ -190,7 +195,8 @@ def arranged(array: NDArray[Any], axes: str, instrument: Instrument) -> NDArray[
     names = [name.strip() for name in axes.split(",")]
     if len(names) != array.ndim:
         raise FileFormatError(
-            f"axes = {axes!r} names {len(names)} axes but the array has shape {array.shape}"
+            f"axes = {axes!r} names {len(names)} axes but the array has shape {array.shape}: name "
+            "each of its axes (--axes)"
         )
     for name, size in zip(names, array.shape, strict=True):
         if name == "-" and size != 1:

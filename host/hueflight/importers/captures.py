@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import HistogramError, InputNotFoundError
+from hueflight.errors import FileFormatError, HistogramError, InputNotFoundError
 from hueflight.files import staged
-from hueflight.importers.arrays import read_array
+from hueflight.importers.arrays import arranged, read_array, read_array_counts
 from hueflight.importers.counts import read_counts
-from hueflight.importers.options import AXES
+from hueflight.importers.options import AXES, ReadOptions
+from hueflight.importers.readers import reader_of
 from hueflight.ingest import IngestReport
 from hueflight.model.instrument import Instrument
 from hueflight.recording import open_recording
@@ -66,8 +67,13 @@ def read_capture(
     by_step : bool
         Whether to keep one histogram per step of the illuminator (one LED at a time), on a first
         axis.
-    dataset, axes, channel : optional
-        Options for files of counts, as in `read_counts`.
+    dataset : str, optional
+        Name of the array in a file of counts, as in `read_counts`.
+    axes : str
+        Names of the axes of that array, as in `read_counts`. With `by_step`, an axis ``step`` is
+        one of them, or it comes before those that are named.
+    channel : int, optional
+        Detection channel of a PTU file, as in `read_counts`.
 
     Returns
     -------
@@ -85,7 +91,9 @@ def read_capture(
     HistogramError
         If a recording was made by another instrument, or steps are missing.
     """
+    options = ReadOptions(dataset=dataset, axes=axes, channel=channel)
     if path.suffix.lower() == ".mcap":
+        options.refuse_all_but(path=path)
         with open_recording(path) as recording:
             if instrument and (apart := recording.instrument.differences(instrument)):
                 raise HistogramError(
@@ -105,13 +113,34 @@ def read_capture(
         return Capture(counts, chosen, _outside_period(counts, chosen))
     if not path.exists():
         raise InputNotFoundError(f"no capture {str(path)!r}: there is no such file")
-    stacked, described = read_array(path, dataset)
+    if reader_of(path) is not read_array_counts:
+        raise FileFormatError(
+            f"{str(path)!r} can't hold one LED at a time: store an array (step, row, col, code) as "
+            ".npz, .npy, .zarr or .h5"
+        )
+    options.refuse_all_but("dataset", "axes", path=path)
+    array, described = read_array(path, dataset)
     known = described or instrument
-    if known is None or stacked.shape[1:] != known.histogram_shape:
+    stacked = None if known is None else _steps(array, axes, known)
+    if known is None or stacked is None or stacked.shape[1:] != known.histogram_shape:
         raise HistogramError(
-            f"{path} has shape {stacked.shape}; one LED at a time is (step, row, col, code)"
+            f"{path} has shape {array.shape}; one LED at a time is (step, row, col, code)"
         )
     return Capture(stacked, known)
+
+
+def _steps(array: NDArray[Any], axes: str, instrument: Instrument) -> NDArray[Any] | None:
+    """Return an array with axes (step, row, col, code); None if it has too few or too many."""
+    names = [name.strip() for name in axes.split(",")]
+    if "step" not in names:
+        names.insert(0, "step")
+    if array.ndim != len(names):
+        return None
+    by_step = np.moveaxis(array, names.index("step"), 0)
+    names.remove("step")
+    if names == AXES.split(","):
+        return by_step
+    return np.stack([arranged(each, ",".join(names), instrument) for each in by_step])
 
 
 def losses(report: IngestReport) -> dict[str, int]:

@@ -48,5 +48,5 @@ class ReadOptions:
             if field.name not in used and value != field.default:
                 raise FileFormatError(
                     f"{str(path)!r}: files of this kind have no {field.name}; leave "
-                    f"{field.name} = {value!r} out"
+                    f"{field.name} = {value!r} out (--{field.name})"
                 )

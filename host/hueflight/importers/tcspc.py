@@ -178,7 +178,8 @@ def _ptu_decays(path: Path, channel: int | None) -> _Decays:
             active = sorted(ptu.active_channels)
             if channel is None and len(active) > 1:
                 raise FileFormatError(
-                    f"{str(path)!r} has photons in channels {active}: say which with channel"
+                    f"{str(path)!r} has photons in channels {active}: say which with channel "
+                    "(--channel)"
                 )
             if channel is not None and channel not in active:
                 raise FileFormatError(
@@ -217,7 +218,8 @@ def _sdt_decays(path: Path, block: str | None) -> _Decays:
     if block is None and len(blocks) > 1:
         shapes = ", ".join(f"{i}: {data.shape}" for i, data in enumerate(blocks))
         raise FileFormatError(
-            f"{str(path)!r} holds {len(blocks)} data blocks ({shapes}): say which with dataset"
+            f"{str(path)!r} holds {len(blocks)} data blocks ({shapes}): say which with dataset "
+            "(--dataset)"
         )
     number = block or "0"
     if not number.isdecimal() or int(number) >= len(blocks):

@@ -130,7 +130,10 @@ def _with_all_codes(array: NDArray[Any], instrument: Instrument) -> NDArray[Any]
 
 def _shape_advice(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
     if sorted(shape) == sorted(expected):
-        return "The axes seem to be in another order: transpose them"
+        return (
+            "The axes seem to be in another order: transpose them, or name the axes of the file "
+            "(--axes)"
+        )
     if len(shape) == 3 and shape[:2] == expected[:2]:
         return "The number of codes differs: check sensor.code_bits"
     if len(shape) == 3 and shape[2] == expected[2]:

@@ -202,7 +202,11 @@ def band_numbers(bands: Any, calibration: Calibration) -> list[int]:
         return list(range(len(names)))
     numbers = []
     for band in bands:
-        number = names.index(band) if isinstance(band, str) and band in names else band
+        number = band
+        if isinstance(band, str) and band in names:
+            number = names.index(band)
+        elif isinstance(band, str) and band.isdecimal():
+            number = int(band)
         if isinstance(number, str) or not 0 <= int(number) < len(names):
             raise HistogramError(f"bands: there is no {band!r}; choose from {', '.join(names)}")
         numbers.append(int(number))

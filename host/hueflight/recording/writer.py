@@ -13,6 +13,7 @@ from types import TracebackType
 import msgspec
 
 from hueflight.errors import RecordingError
+from hueflight.files import describe_existing
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.buffer import PacketBuffer, pieces
 from hueflight.ingest.kernels import STATE, Kernels
@@ -107,7 +108,7 @@ class RecordingWriter:
         kernels: Kernels | None = None,
     ) -> None:
         self.path = Path(path)
-        if self.path.suffix != SUFFIX:
+        if self.path.suffix.lower() != SUFFIX:
             raise RecordingError(f"{self.path}: the name of a recording must end in {SUFFIX}")
         own = [name for name in attachments or {} if name in OWN_NAMES]
         if own:
@@ -369,6 +370,6 @@ class RecordingWriter:
                 "choose another name"
             )
         if finished and not overwrite:
-            raise RecordingError(f"{finished[0]} exists: choose another name, or overwrite it")
+            raise RecordingError(describe_existing(finished[0]))
         for path in (*finished, *unfinished):
             path.unlink()

@@ -3,6 +3,7 @@
 import ast
 import inspect
 import json
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -10,9 +11,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from hueflight.batch import job
+from hueflight.calibration import Calibration
 from hueflight.cli import main
-from hueflight.cli.app import COMMANDS
+from hueflight.cli.app import COMMANDS, application
 from hueflight.cli.output import show
+from hueflight.importers import read_counts, read_image
+from hueflight.reconstruction.reconstruct import reconstruct
 
 TOML = """
 name = "bench"
@@ -349,7 +354,7 @@ def test_a_report_does_not_replace_a_foreign_page(bench: Path, run) -> None:
     (bench / "index.html").write_text("my page")
     refused = run("demo", "--out", ".", "--frames", "100")
     assert refused.code == 1
-    assert "index.html exists" in refused.err
+    assert "index.html' exists already" in refused.err
     assert (bench / "index.html").read_text() == "my page"
 
 
@@ -358,7 +363,7 @@ def test_a_capture_does_not_replace_a_file_beside_it(bench: Path, run) -> None:
     words = ("--simulate", "--instrument", "bench.toml", "--frames", "5", "-o", "scene.mcap")
     refused = run("capture", *words)
     assert refused.code == 1
-    assert "scene.json exists" in refused.err
+    assert "'scene.json' exists already" in refused.err
     assert (bench / "scene.json").read_text() == "{}"
     assert not (bench / "scene.mcap").exists()
 
@@ -379,3 +384,152 @@ def test_a_batch_does_not_replace_images_of_other_captures(bench: Path, run) -> 
     again = run("reconstruct", "run2/scan.mcap", *words, "--range-correction")
     assert again.json["done"] == 1
     assert again.json["outcomes"][0]["summary"]["pixels"] == 120
+
+
+@pytest.fixture
+def measured(bench: Path, run) -> Path:
+    """The folder with a calibration, a scene, and the scene's counts in other arrangements."""
+    calibrated(run)
+    words = ("--distance", "0.8", "--instrument", "bench.toml", "--frames", "600")
+    assert run("simulate", "plane", *words, "-o", "scene.npz").code == 0
+    counts = np.load(bench / "scene.npz")["histogram"]
+    np.savez(bench / "turned.npz", first=np.zeros(3), second=np.moveaxis(counts, -1, 0))
+    return bench
+
+
+def image_of(folder: Path, run, *words: str, out: str = "image.zarr") -> xr.Dataset:
+    done = run("reconstruct", *words, "-c", "cal.zarr", "-o", out, "--overwrite", "--json")
+    assert done.code == 0, done.err
+    return read_image(folder / out)
+
+
+def test_array_and_axes_are_named_on_the_command_line(measured: Path, run) -> None:
+    plain = image_of(measured, run, "scene.npz")
+    named = ("turned.npz", "--dataset", "second", "--axes", "code,row,col")
+    xr.testing.assert_equal(image_of(measured, run, *named), plain)
+    batch = run("reconstruct", *named, "-c", "cal.zarr", "-o", "all", "--workers", "1", "--json")
+    assert batch.json["done"] == 1, batch.json
+    xr.testing.assert_equal(read_image(measured / "all/turned.zarr"), plain)
+    # other axes make another image: it must not be taken for the one that is there
+    wrong = (*named[:-1], "code,col,row")
+    batch = run("reconstruct", *wrong, "-c", "cal.zarr", "-o", "all", "--workers", "1", "--json")
+    assert batch.json["failed"] == 1
+    for option in ("--dataset", "--axes"):
+        left_out = [word for pair in zip(named[1::2], named[2::2], strict=True)
+                    if pair[0] != option for word in pair]  # fmt: skip
+        refused = run("reconstruct", named[0], *left_out, "-c", "cal.zarr", "-o", "none.zarr")
+        assert refused.code == 1
+        assert option in refused.err
+    recorded(run, "scene.mcap", frames=50)
+    for option in (("--dataset", "a"), ("--axes", "col,row,code"), ("--channel", "1")):
+        refused = run("reconstruct", "scene.mcap", *option, "-c", "cal.zarr", "-o", "none.zarr")
+        assert refused.code == 1
+        assert option[0] in refused.err
+
+
+def test_calibration_takes_arrays_axes_and_frames(bench: Path, run) -> None:
+    for kind in ("reference", "bands"):
+        words = ("--capture", kind, "--instrument", "bench.toml", "--frames", "3000")
+        assert run("simulate", *words, "-o", f"{kind}.npz").code == 0
+        counts = np.load(bench / f"{kind}.npz")["histogram"]
+        np.savez(bench / f"{kind}-turned.npz", a=np.zeros(3), counts=np.swapaxes(counts, -1, -3))
+    plain = ("reference.npz", "--bands", "bands.npz", "-d", "0.4", "--instrument", "bench.toml")
+    turned = [word.replace(".npz", "-turned.npz") for word in plain]
+    options = ("--dataset", "counts", "--axes", "code,col,row")
+    for words, out in ((plain, "plain.zarr"), ((*turned, *options), "turned.zarr")):
+        done = run("calibrate", *words, "-o", out)
+        assert done.code == 0, done.err
+    refused = run("calibrate", *turned, *options[:2], "--axes", "code,row,col", "-o", "no.zarr")
+    assert refused.code == 1
+    one, other = (Calibration.load(bench / name) for name in ("plain.zarr", "turned.zarr"))
+    np.testing.assert_array_equal(one.gain, other.gain)
+    np.testing.assert_array_equal(one.templates.coefficients, other.templates.coefficients)
+
+
+def test_what_is_reconstructed_is_chosen_on_the_command_line(measured: Path, run) -> None:
+    calibration = Calibration.load(measured / "cal.zarr")
+    counts, _ = read_counts(measured / "scene.npz")
+    expected = reconstruct(
+        counts, calibration, depth_range=(0.5, 1.1), frames=700, bands=["blue", 0],
+        region=np.s_[2:8, :4],
+    )  # fmt: skip
+    options = (
+        "--depth-range", "0.5", "1.1", "--frames", "700", "--bands", "blue,0",
+        "--region", "2:8,:4", "--threads", "2",
+    )  # fmt: skip
+    image = image_of(measured, run, "scene.npz", *options)
+    assert list(image["band_name"].values) == ["blue", "red"]
+    for name, values in expected.data_vars.items():
+        np.testing.assert_array_equal(image[name], values, err_msg=str(name))
+    batch = run("reconstruct", "scene.npz", *options, "-c", "cal.zarr", "-o", "all", "--json")
+    assert batch.json["done"] == 1
+    # the number of threads makes no other image
+    batch = run("reconstruct", "scene.npz", *options[:-2], "-c", "cal.zarr", "-o", "all", "--json")
+    assert batch.json["kept"] == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--region", "3"], "--region 3: give rows and columns"),
+        (["--region", "a:b,c:d"], "--region a:b,c:d: give rows and columns"),
+        (["--threads", "0"], "--threads 0: at least one"),
+        (["--bands", "green,amber"], "no 'amber'; choose from red, green, blue"),
+        (["--depth-range", "2", "1"], "give the nearest and the farthest"),
+        (["-o", "image.ply"], "--out image.ply: images are written as NAME.zarr or NAME.nc"),
+    ],
+)
+def test_wrong_choices_are_explained(measured: Path, run, words: list[str], message: str) -> None:
+    out = [] if "-o" in words else ["-o", "image.zarr"]
+    refused = run("reconstruct", "scene.npz", "-c", "cal.zarr", *out, *words)
+    assert refused.code == 1
+    assert message in refused.err
+    assert not (measured / "image.zarr").exists()
+
+
+def test_an_image_is_written_as_netcdf(measured: Path, run) -> None:
+    stored = image_of(measured, run, "scene.npz")
+    for name in ("image.nc", "upper.NC"):
+        xr.testing.assert_identical(image_of(measured, run, "scene.npz", out=name), stored)
+
+
+def test_endings_in_upper_case(measured: Path, run) -> None:
+    recorded(run, "SCENE.MCAP", frames=50)
+    (measured / "scene.npz").rename(measured / "SCENE.NPZ")
+    for name in ("SCENE.MCAP", "SCENE.NPZ"):
+        image_of(measured, run, name, out="IMAGE.ZARR")
+    assert run("info", "SCENE.MCAP").code == 0
+    assert run("export", "IMAGE.ZARR", "CLOUD.PLY").code == 0
+    words = ("--instrument", "bench.toml", "--frames", "5", "-o", "B.NPZ")
+    assert run("simulate", "plane", *words).code == 0
+    assert job.capture_files(measured / "SCENE.MCAP") == [measured / "SCENE.MCAP"]
+
+
+def test_an_image_without_its_preview_is_a_success(
+    measured: Path, run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    done = run("reconstruct", "scene.npz", "-c", "cal.zarr", "-o", "image.zarr")
+    assert done.code == 0
+    assert len(done.err.splitlines()) == 1
+    assert "no preview is drawn" in done.err
+    assert "matplotlib" in done.err
+    assert not (measured / "image.png").exists()
+    assert read_image(measured / "image.zarr")["depth"].size == 120
+
+
+def test_a_picture_of_one_band(measured: Path, run) -> None:
+    image_of(measured, run, "scene.npz")
+    for band in ("green", "1"):
+        words = ("--variable", "reflectance", "--band", band, "--limits", "0", "1", "--overwrite")
+        assert run("export", "image.zarr", f"{band}.png", *words).code == 0
+    assert (measured / "green.png").read_bytes() == (measured / "1.png").read_bytes()
+    refused = run("export", "image.zarr", "x.png", "--variable", "reflectance", "--band", "pink")
+    assert "--band pink: the image has no such band; it has red, green, blue" in refused.err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_their_options(shell: str) -> None:
+    script = application().generate_completion(shell=shell)
+    for word in (*COMMANDS, "depth-range", "dataset"):
+        assert word in script

@@ -300,7 +300,7 @@ def test_names_that_can_not_be(tmp_path: Path, small: Make, recorded: Make) -> N
     with pytest.raises(RecordingError, match="the name is reserved"):
         RecordingWriter(tmp_path / "x.mcap", small(), attachments={"instrument.json": b""})
     path, _ = recorded()
-    with pytest.raises(RecordingError, match="exists: choose another name, or overwrite it"):
+    with pytest.raises(RecordingError, match="exists already: choose another name"):
         RecordingWriter(path, small())
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="can't start"):

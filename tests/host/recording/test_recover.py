@@ -162,7 +162,7 @@ def test_no_files_and_files_of_several_recordings(recorded: Make, tmp_path: Path
         recover(path)
     path, _ = recorded(name="twice.mcap")
     recover(path)
-    with pytest.raises(RecordingError, match="exists: choose another name"):
+    with pytest.raises(RecordingError, match="exists already: choose another name"):
         recover(path)
     recover(path, overwrite=True)
 

@@ -4,8 +4,9 @@ The names below are loaded when they are first used, so that importing the packa
 nothing.
 """
 
-from importlib import import_module as _import_module
 from typing import TYPE_CHECKING, Any
+
+from hueflight.lazy import lazy_names as _lazy_names
 
 if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run time
     from hueflight.analysis import compare
@@ -19,12 +20,12 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.model.instrument import Instrument
     from hueflight.model.schedules import Schedule
     from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
+    from hueflight.reconstruction.entry_point import reconstruct, reconstruct_packets
     from hueflight.reconstruction.interleaved import reconstruct_interleaved
     from hueflight.reconstruction.interleaved import (
         reconstruct_interleaved as reconstruct_alternated,
     )
     from hueflight.reconstruction.quality import Quality
-    from hueflight.reconstruction.reconstruct import reconstruct, reconstruct_packets
     from hueflight.reconstruction.uncertainty import reflectance_interval
     from hueflight.recording import open_recording
 
@@ -46,12 +47,12 @@ _HOME = {
     "read_capture": "hueflight.importers.captures",
     "read_counts": "hueflight.importers",
     "read_image": "hueflight.importers",
-    "reconstruct": "hueflight.reconstruction.reconstruct",
+    "reconstruct": "hueflight.reconstruction.entry_point",
     "reconstruct_alternated": "hueflight.reconstruction.interleaved:reconstruct_interleaved",
     "reconstruct_file": "hueflight.batch",
     "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
     "reconstruct_many": "hueflight.batch",
-    "reconstruct_packets": "hueflight.reconstruction.reconstruct",
+    "reconstruct_packets": "hueflight.reconstruction.entry_point",
     "reflectance_bound": "hueflight.reconstruction.bounds",
     "reflectance_interval": "hueflight.reconstruction.uncertainty",
     "write_counts": "hueflight.importers.captures",
@@ -102,24 +103,19 @@ __all__ = [
 ]
 
 
+_load, _names = _lazy_names(__name__, _HOME, _PACKAGES)
+
+
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used (PEP 562)."""
-    value: Any
+    """Load a public name when it is first used."""
     if name == "__version__":
         from importlib.metadata import version
 
-        value = version("hueflight")
-    elif name in _HOME:
-        module, _, there = _HOME[name].partition(":")
-        value = getattr(_import_module(module), there or name)
-    elif name in _PACKAGES:
-        return _import_module(f"hueflight.{name}")
-    else:
-        raise AttributeError(f"module 'hueflight' has no attribute {name!r}")
-    globals()[name] = value
-    return value
+        globals()[name] = found = version("hueflight")
+        return found
+    return _load(name)
 
 
 def __dir__() -> list[str]:
     """Names for `dir` and tab completion."""
-    return sorted({*globals(), *__all__, *_PACKAGES})
+    return sorted({*_names(), "__version__"})

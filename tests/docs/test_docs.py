@@ -111,7 +111,7 @@ def test_examples_in_docstrings_are_true() -> None:
 def test_every_public_name_has_a_docstring() -> None:
     for name in described_packages():
         package = importlib.import_module(name)
-        for public in getattr(package, "__all__", ()):
+        for public in package.__all__:
             thing = getattr(package, public)
             if inspect.isclass(thing) or inspect.isfunction(thing):
                 assert thing.__doc__, f"{name}.{public}"

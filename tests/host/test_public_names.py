@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import ast
+import pkgutil
 import subprocess
 import sys
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 import hueflight as hf
 
-SOURCE = Path(hf.__file__)
+#: packages that load their public names when they are first used
+LAZY = ("hueflight", "hueflight.fit", "hueflight.reconstruction")
 
 
-def names_for_type_checkers() -> dict[str, str]:
+def names_for_type_checkers(package: ModuleType) -> dict[str, str]:
     """Public names and where the block for type checkers imports them from."""
     found = {}
-    for node in ast.parse(SOURCE.read_text("utf-8")).body:
+    source = Path(str(package.__file__)).read_text("utf-8")
+    for node in ast.parse(source).body:
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             for line in node.body:
                 if isinstance(line, ast.ImportFrom):
@@ -30,13 +34,35 @@ def names_for_type_checkers() -> dict[str, str]:
     return found
 
 
-def test_type_checkers_see_what_is_loaded() -> None:
-    assert names_for_type_checkers() == hf._HOME
+@pytest.mark.parametrize("name", LAZY)
+def test_type_checkers_see_what_is_loaded(name: str) -> None:
+    package = import_module(name)
+    assert names_for_type_checkers(package) == package._HOME
 
 
-def test_all_names_every_public_thing_once() -> None:
-    assert set(hf.__all__) == {*hf._HOME, "__version__"}
-    assert len(hf.__all__) == len(set(hf.__all__))
+@pytest.mark.parametrize("name", LAZY)
+def test_all_names_every_public_thing_once(name: str) -> None:
+    package = import_module(name)
+    assert set(package.__all__) - {"__version__"} == set(package._HOME)
+    assert len(package.__all__) == len(set(package.__all__))
+
+
+@pytest.mark.parametrize("name", LAZY)
+def test_no_module_hides_a_public_name(name: str) -> None:
+    """An imported module becomes an attribute of its package, whatever had that name before."""
+    package = import_module(name)
+    modules = {entry.name for entry in pkgutil.iter_modules(package.__path__)}
+    assert not modules & set(package.__all__)
+
+
+@pytest.mark.parametrize("name", LAZY[1:])
+def test_names_of_a_lazy_package_are_those_of_its_modules(name: str) -> None:
+    package = import_module(name)
+    for public, module in package._HOME.items():
+        assert getattr(package, public) is getattr(import_module(module), public)
+        assert public in dir(package)
+    with pytest.raises(AttributeError, match=f"module '{name}' has no attribute 'recnstruct'"):
+        _ = package.recnstruct
 
 
 @pytest.mark.parametrize("name", hf.__all__)

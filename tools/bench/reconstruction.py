@@ -26,9 +26,9 @@ from hueflight.ingest import accumulate
 from hueflight.reconstruction import paper
 from hueflight.reconstruction import paper_kernel as paper_compiled
 from hueflight.reconstruction.bounds import expected_shares
+from hueflight.reconstruction.entry_point import reconstruct_packets
 from hueflight.reconstruction.joint import search_range_ns, tables_for_calibration
 from hueflight.reconstruction.options import NO_SKIPS, Skips
-from hueflight.reconstruction.reconstruct import reconstruct_packets
 from hueflight.reconstruction.video import Video
 
 IMAGES_PER_SECOND = 30

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
-from hueflight.reconstruction.reconstruct import reconstruct
+from hueflight.reconstruction.entry_point import reconstruct
 from hueflight.reconstruction.stopping import StopRule, frames_needed, seen_enough, share_known
 
 LEAST_GROWTH, MOST_GROWTH = 1.1, 2.0  #: of frames from one reconstruction to the next

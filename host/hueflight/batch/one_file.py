@@ -18,8 +18,8 @@ from hueflight.files import import_optional, refuse_existing, staged
 from hueflight.importers.captures import read_capture
 from hueflight.importers.options import ReadOptions
 from hueflight.progress import Progress, Silent, task
+from hueflight.reconstruction.entry_point import reconstruct
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.reconstruct import reconstruct
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hueflight.model.instrument import Instrument
-from hueflight.reconstruction.reconstruct import METHODS
+from hueflight.reconstruction.entry_point import METHODS
 from hueflight.simulator import scenes
 
 PRESETS = ", ".join(Instrument.presets())

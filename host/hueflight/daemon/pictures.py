@@ -19,7 +19,7 @@ from hueflight.daemon.picture import Picture, count_photons
 from hueflight.errors import HueflightError
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
-from hueflight.reconstruction.reconstruct import METHODS, reconstruct
+from hueflight.reconstruction.entry_point import METHODS, reconstruct
 
 UNSEEN_S = 1.0  #: from picture to picture while nobody is watching
 _WAIT_S = 0.5

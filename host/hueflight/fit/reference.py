@@ -114,7 +114,13 @@ class Fit:
     steps: NDArray[np.uint8]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays by name."""
+        """Return the arrays by name.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Attributes of this class, one number or one row for each pixel.
+        """
         return {name: getattr(self, name) for name in Fit.__dataclass_fields__}
 
     def take(self, chosen: NDArray[Any] | slice) -> Fit:

@@ -1,1 +1,97 @@
-"""From histograms to images: depth, reflectance, uncertainty and the limits of all three."""
+"""From histograms to images: depth, reflectance, uncertainty and the limits of all three.
+
+The names below are loaded when they are first used.
+"""
+
+from typing import TYPE_CHECKING
+
+from hueflight.lazy import lazy_names
+
+if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run time
+    from hueflight.reconstruction.bounds import (
+        depth_bound,
+        expected_shares,
+        fisher_information,
+        information,
+        reflectance_bound,
+    )
+    from hueflight.reconstruction.entry_point import reconstruct, reconstruct_packets
+    from hueflight.reconstruction.estimates import Estimates
+    from hueflight.reconstruction.inputs import PreparedHistogram
+    from hueflight.reconstruction.interleaved import reconstruct_interleaved
+    from hueflight.reconstruction.methods import METHODS, Estimator, find_method, register
+    from hueflight.reconstruction.options import (
+        BINDING_OPTIONS,
+        DEFAULT_SKIPS,
+        NO_SKIPS,
+        EstimatorOptions,
+        Region,
+        Skips,
+    )
+    from hueflight.reconstruction.quality import Quality
+    from hueflight.reconstruction.stopping import StopRule, frames_needed, seen_enough, share_known
+    from hueflight.reconstruction.uncertainty import reflectance_interval
+    from hueflight.reconstruction.video import Video
+
+#: module of each public name
+_HOME = {
+    "BINDING_OPTIONS": "hueflight.reconstruction.options",
+    "DEFAULT_SKIPS": "hueflight.reconstruction.options",
+    "Estimates": "hueflight.reconstruction.estimates",
+    "Estimator": "hueflight.reconstruction.methods",
+    "EstimatorOptions": "hueflight.reconstruction.options",
+    "METHODS": "hueflight.reconstruction.methods",
+    "NO_SKIPS": "hueflight.reconstruction.options",
+    "PreparedHistogram": "hueflight.reconstruction.inputs",
+    "Quality": "hueflight.reconstruction.quality",
+    "Region": "hueflight.reconstruction.options",
+    "Skips": "hueflight.reconstruction.options",
+    "StopRule": "hueflight.reconstruction.stopping",
+    "Video": "hueflight.reconstruction.video",
+    "depth_bound": "hueflight.reconstruction.bounds",
+    "expected_shares": "hueflight.reconstruction.bounds",
+    "find_method": "hueflight.reconstruction.methods",
+    "fisher_information": "hueflight.reconstruction.bounds",
+    "frames_needed": "hueflight.reconstruction.stopping",
+    "information": "hueflight.reconstruction.bounds",
+    "reconstruct": "hueflight.reconstruction.entry_point",
+    "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
+    "reconstruct_packets": "hueflight.reconstruction.entry_point",
+    "reflectance_bound": "hueflight.reconstruction.bounds",
+    "reflectance_interval": "hueflight.reconstruction.uncertainty",
+    "register": "hueflight.reconstruction.methods",
+    "seen_enough": "hueflight.reconstruction.stopping",
+    "share_known": "hueflight.reconstruction.stopping",
+}
+
+__all__ = [
+    "BINDING_OPTIONS",
+    "DEFAULT_SKIPS",
+    "METHODS",
+    "NO_SKIPS",
+    "Estimates",
+    "Estimator",
+    "EstimatorOptions",
+    "PreparedHistogram",
+    "Quality",
+    "Region",
+    "Skips",
+    "StopRule",
+    "Video",
+    "depth_bound",
+    "expected_shares",
+    "find_method",
+    "fisher_information",
+    "frames_needed",
+    "information",
+    "reconstruct",
+    "reconstruct_interleaved",
+    "reconstruct_packets",
+    "reflectance_bound",
+    "reflectance_interval",
+    "register",
+    "seen_enough",
+    "share_known",
+]
+
+__getattr__, __dir__ = lazy_names(__name__, _HOME)

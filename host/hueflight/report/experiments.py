@@ -21,7 +21,7 @@ from hueflight.ingest import accumulate
 from hueflight.model.instrument import Instrument
 from hueflight.progress import Progress, task
 from hueflight.reconstruction.bounds import depth_bound
-from hueflight.reconstruction.reconstruct import reconstruct
+from hueflight.reconstruction.entry_point import reconstruct
 
 REFERENCE_DISTANCE_M = 0.40  #: white paper in front of the camera, paper section 3
 DISTANCES_M = (0.5, 1.0, 1.5)  #: distances of the scene in the paper's Fig. 7

@@ -224,7 +224,7 @@ def _descriptions(parameters: str) -> list[list[str]]:
 
 def test_help_lists_the_choices_there_are(run) -> None:
     from hueflight.export import FORMATS
-    from hueflight.reconstruction.reconstruct import METHODS
+    from hueflight.reconstruction.entry_point import METHODS
     from hueflight.simulator import SCENES
 
     for command, choices in (

@@ -71,7 +71,15 @@ def test_importing_the_package_loads_nothing_else() -> None:
     modules = loaded_by("import hueflight")
     require_light(modules)
     assert "numpy" not in modules
-    assert {name for name in modules if name.startswith("hueflight.")} == set()
+    assert {name for name in modules if name.startswith("hueflight.")} == {"hueflight.lazy"}
+
+
+@pytest.mark.parametrize("package", ["fit", "reconstruction"])
+def test_importing_a_lazy_package_loads_none_of_its_modules(package: str) -> None:
+    modules = loaded_by(f"import hueflight.{package}")
+    require_light(modules)
+    ours = {name for name in modules if name.startswith("hueflight.")}
+    assert ours == {"hueflight.lazy", f"hueflight.{package}"}
 
 
 def test_a_public_name_loads_what_it_needs() -> None:

@@ -6,7 +6,7 @@ import pytest
 import hueflight as hf
 from hueflight.errors import HistogramError
 from hueflight.ingest import accumulate
-from hueflight.reconstruction.reconstruct import reconstruct_packets
+from hueflight.reconstruction.entry_point import reconstruct_packets
 from hueflight_protocol import encode_frame
 
 

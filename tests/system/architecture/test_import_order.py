@@ -17,6 +17,7 @@ SOURCES = {
 #: first what others stand on; a package may import only what comes before it
 ORDER = (
     "errors",
+    "lazy",
     "model",
     "backend",
     "files",

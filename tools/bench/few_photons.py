@@ -32,7 +32,7 @@ from hueflight.model.schedules import Schedule, ambiguity, design_schedules, una
 from hueflight.reconstruction.bounds import expected_shares
 from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.quality import Quality
-from hueflight.simulator.simulated_captures import Kind
+from hueflight.simulator import CaptureKind
 
 mpl.use("agg")
 import matplotlib.pyplot as plt
@@ -83,7 +83,7 @@ class Fig1:
             kept.require(self.instrument)
             return kept
 
-        def shot(kind: Kind, frames: int) -> NDArray[np.unsignedinteger]:
+        def shot(kind: CaptureKind, frames: int) -> NDArray[np.unsignedinteger]:
             return simulator.simulate_capture(
                 kind, self.instrument, frames=frames, settings=settings, seed=1
             )

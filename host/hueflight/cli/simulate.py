@@ -16,7 +16,7 @@ from hueflight.importers.captures import write_counts
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task, tracked
 from hueflight.recording import RecordingWriter
-from hueflight.simulator.simulated_captures import Kind
+from hueflight.simulator import CaptureKind
 
 _LIGHT = simulator.SimulationSettings().white_detections
 
@@ -25,7 +25,7 @@ def simulate(
     scene: Annotated[str, Parameter(help=f"Scene to simulate: {SCENE_NAMES}.")] = "fig1",
     *,
     out: Annotated[Path, Parameter(name=["--out", "-o"])],
-    capture: Kind = "scene",
+    capture: CaptureKind = "scene",
     instrument: Annotated[
         str, Parameter(help=f"Instrument: a preset ({PRESETS}) or the path of a TOML file.")
     ] = "paper",

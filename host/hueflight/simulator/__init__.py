@@ -11,13 +11,14 @@ histograms are drawn from it. `docs/simulator.md` describes the model.
 """
 
 from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
-from hueflight.simulator.named_scenes import SCENES, scene, scenes
+from hueflight.simulator.named_scenes import SCENES, NamedScene, scene, scenes
 from hueflight.simulator.probabilities import code_probabilities, probability_tiles
 from hueflight.simulator.sampling import simulate_codes, simulate_histogram
 from hueflight.simulator.scene import NOTHING, Scene, Truth
 from hueflight.simulator.settings import Pixels, SimulationSettings, pixels, time_bins
 from hueflight.simulator.simulated_captures import (
     CAPTURES,
+    CaptureKind,
     Exposure,
     exposures,
     simulate_capture,
@@ -28,7 +29,9 @@ __all__ = [
     "CAPTURES",
     "NOTHING",
     "SCENES",
+    "CaptureKind",
     "Exposure",
+    "NamedScene",
     "Pixels",
     "Rates",
     "Scene",

@@ -115,7 +115,7 @@ def empty() -> Layout:
 
 
 @dataclass(frozen=True)
-class Entry:
+class NamedScene:
     """A scene that can be chosen by name.
 
     Attributes
@@ -136,15 +136,17 @@ class Entry:
         return {parameter.name: parameter.default for parameter in parameters}
 
 
-SCENES: dict[str, Entry] = {
-    "fig1": Entry(
+SCENES: dict[str, NamedScene] = {
+    "fig1": NamedScene(
         shelf_scene, "the paper's Fig. 1: board with logos, brick wall, horse on a shelf"
     ),
-    "fig7": Entry(wall_scene, "the paper's Fig. 7: brick wall with a window in front of a board"),
-    "colorchecker": Entry(color_checker, "24 patches of known colour on a grey wall"),
-    "plane": Entry(plane, "a wall of one surface at one distance"),
-    "staircase": Entry(staircase, "vertical strips at increasing distance"),
-    "empty": Entry(empty, "nothing: dark counts only"),
+    "fig7": NamedScene(
+        wall_scene, "the paper's Fig. 7: brick wall with a window in front of a board"
+    ),
+    "colorchecker": NamedScene(color_checker, "24 patches of known colour on a grey wall"),
+    "plane": NamedScene(plane, "a wall of one surface at one distance"),
+    "staircase": NamedScene(staircase, "vertical strips at increasing distance"),
+    "empty": NamedScene(empty, "nothing: dark counts only"),
 }
 
 

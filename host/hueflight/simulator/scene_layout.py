@@ -24,7 +24,7 @@ class SurfaceTable:
     spectra: dict[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def __getitem__(self, surface: str) -> int:
-        """Number of a surface that `hueflight.model.spectra` knows by name."""
+        """Number of a surface named in `hueflight.model.spectra`, which is added on first use."""
         if surface not in self.spectra:
             self.spectra[surface] = reflectance(surface)
         return list(self.spectra).index(surface)

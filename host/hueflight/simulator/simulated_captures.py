@@ -19,9 +19,9 @@ from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings
 from hueflight_protocol import FrameFlags, encode_frame
 
-Kind = Literal["scene", "reference", "bands", "dark", "flat"]
+CaptureKind = Literal["scene", "reference", "bands", "dark", "flat"]
 
-CAPTURES: dict[Kind, str] = {
+CAPTURES: dict[CaptureKind, str] = {
     "scene": "all LEDs on a scene",
     "reference": "all LEDs on a white plane at a known distance",
     "bands": "the same plane, one LED at a time",
@@ -47,7 +47,7 @@ class Exposure:
 
 
 def exposures(
-    kind: Kind,
+    kind: CaptureKind,
     instrument: Instrument,
     *,
     scene: Scene | None = None,
@@ -82,7 +82,7 @@ def exposures(
         If there is no such kind or the scene is missing.
     """
     settings = settings or SimulationSettings()
-    if kind not in get_args(Kind):
+    if kind not in get_args(CaptureKind):
         raise SceneError(f"no capture {kind!r}: there are {', '.join(CAPTURES)}")
     if scene is None:
         if kind == "scene":
@@ -101,7 +101,7 @@ def exposures(
 
 
 def simulate_capture(
-    kind: Kind,
+    kind: CaptureKind,
     instrument: Instrument,
     *,
     frames: int,
@@ -162,7 +162,7 @@ def simulate_capture(
 
 
 def simulate_packets(
-    kind: Kind,
+    kind: CaptureKind,
     instrument: Instrument,
     *,
     frames: int,

@@ -77,6 +77,20 @@ def test_every_pin_is_placed_once(tmp_path, design, board, constraints):
     assert "missed" in text
 
 
+def test_the_pll_of_the_hx8k_makes_the_clock_that_is_configured(tmp_path):
+    """Lattice FPGA-TN-02052: simple feedback, f = f_in (DIVF + 1) / (2 ** DIVQ (DIVR + 1))."""
+    target = find_target("illuminator", "hx8k")
+    prepare(target, tmp_path)
+    text = (tmp_path / "top.il").read_text()
+    values = {
+        name: int(re.search(rf"parameter \\{name} \d+'([01]+)", text)[1], 2)
+        for name in ("DIVR", "DIVF", "DIVQ")
+    }
+    oscillator = target.platform().default_clk_frequency
+    made = oscillator * (values["DIVF"] + 1) / (1 << values["DIVQ"]) / (values["DIVR"] + 1)
+    assert made == pytest.approx(1e6 * target.clocks_mhz["pulse"])
+
+
 @pytest.mark.slow
 def test_the_same_source_makes_the_same_netlist(tmp_path):
     for name in ("one", "two"):

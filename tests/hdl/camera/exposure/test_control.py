@@ -210,3 +210,21 @@ def test_step_is_the_marker_at_the_end_of_the_exposure():
     for read in reads:
         # three clocks of synchroniser, and one more in which it has to stand still
         assert seen["step"][read + 1] in {1000 + clock for clock in range(read - 10, read - 3)}
+
+
+def test_the_marker_counts_only_once_all_its_wires_stand_still():
+    """Wires that change a clock apart show a value in between, which is not the marker."""
+    dut = ExposureControl()
+    markers = []
+
+    async def drive(ctx):
+        for pins in [0x00] * 6 + [0x0F] + [0xFF] * 8 + [0x7F, 0x3C] + [0x18] * 8:
+            ctx.set(dut.marker_pins, pins)
+            markers.append(ctx.get(dut.marker))
+            await ctx.tick()
+
+    simulator = Simulator(dut)
+    simulator.add_clock(1e-8)
+    simulator.add_testbench(drive)
+    simulator.run()
+    assert list(dict.fromkeys(markers)) == [0x00, 0xFF, 0x18]

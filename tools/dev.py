@@ -73,12 +73,13 @@ def demo(arguments: list[str]) -> None:
 
 
 def test(arguments: list[str]) -> None:
-    """Lint, format, types, tests. Further words go to pytest (a path, -k ...)."""
+    """Lint, format, types, docstrings, tests. Further words go to pytest (a path, -k ...)."""
     full = "--full" in arguments or bool(os.environ.get("CI"))
     chosen = [word for word in arguments if word != "--full"]
     run([str(BIN / "ruff"), "check", "."])
     run([str(BIN / "ruff"), "format", "--check", "--quiet", "."])
     run([str(BIN / "basedpyright"), "--level", "error"])
+    run([str(BIN / "python"), str(ROOT / "tools" / "check_docstrings.py")])
     workers = ["-n", str(os.cpu_count() or 1), "--dist", "loadfile", "--no-loadscope-reorder"]
     run([str(BIN / "pytest"), *workers, *(["--full", "--durations=30"] if full else []), *chosen])
 

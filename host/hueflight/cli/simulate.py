@@ -39,6 +39,12 @@ def simulate(
             f"1 m. By default {_LIGHT:g}."
         ),
     ] = None,
+    rays: int = 1,
+    effects: Annotated[
+        simulator.Effects | None,
+        Parameter(name="*", group="Effects of real scenes and sensors", negative_iterable=()),
+    ] = None,
+    truth: Path | None = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -69,20 +75,46 @@ def simulate(
         Seed of the random numbers that draw the photons. The sensor's defects do not depend on it.
     light : float, optional
         Number of photons per exposure from a white plane at 1 m.
+    rays : int, default 1
+        Number of rays along each side of a pixel, over which its light is averaged. With 4, for
+        example, 16 rays per pixel give pixels at the edge of an object a share of both surfaces.
+    effects : Effects, optional
+        Effects that an ideal model leaves out; all are off by default.
+    truth : Path, optional
+        File NAME.npz to write the ground truth to: depth and reflectance of each pixel, all
+        depths that it sees with their shares of light, and what changed in the instrument.
     overwrite : bool, default False
         Replace an existing file of that name.
     json : bool, default False
         Print one JSON object instead of a table.
     """
     described = Instrument.load(instrument)
-    settings = simulator.SimulationSettings()
+    effects = effects or simulator.Effects()
+    settings = simulator.SimulationSettings(effects=effects)
     if light is not None:
         settings = settings.replace(white_detections=light)
     options: dict[str, Any] = {} if distance is None else {"distance": distance}
-    simulated = simulator.scene(scene, described, **options) if capture == "scene" else None
+    if capture != "scene" and rays != 1:
+        raise SceneError(
+            f"--rays {rays}: the white plane of a capture of kind {capture} has no edges; leave "
+            "--rays out or capture a scene"
+        )
+    simulated = (
+        simulator.scene(scene, described, rays=rays, **options) if capture == "scene" else None
+    )
     refuse_existing(out, overwrite=overwrite)
+    if truth is not None:
+        if truth.suffix.lower() != ".npz":
+            raise SceneError(f"--truth {truth}: the name must end in .npz")
+        refuse_existing(truth, overwrite=overwrite)
     shown = progress(json_wanted=json)
     result = {"instrument": described.name, "capture": capture, "frames": frames}
+    metadata: dict[str, Any] = {"capture": capture, "scene": scene, "simulated": True}
+    if rays != 1:
+        metadata["rays"] = result["rays"] = rays
+    if effects.active:
+        text = ", ".join(f"{name} = {value}" for name, value in effects.active.items())
+        metadata["effects"] = result["effects"] = text
     ending = out.suffix.lower()
     if ending == ".npz":
         with task(shown, "simulating", 1):
@@ -105,7 +137,7 @@ def simulate(
         with RecordingWriter(
             out,
             described,
-            metadata={"capture": capture, "scene": scene, "simulated": True},
+            metadata=metadata,
             overwrite=overwrite,
         ) as record:
             for packet in tracked(packets, shown, "frames", total):
@@ -113,4 +145,12 @@ def simulate(
         result["bytes"] = out.stat().st_size
     else:
         raise SceneError(f"{out}: the name must end in .mcap (packets) or .npz (counts)")
+    if truth is not None:
+        parts = simulator.exposures(
+            capture, described, scene=simulated, settings=settings, **options
+        )
+        # of one LED at a time, the truth is that of all together
+        of_all = settings if capture == "bands" else parts[0].settings
+        simulator.write_truth(truth, parts[0].scene, described, of_all)
+        result["truth"] = str(truth)
     show(f"Capture {out}", result, json_wanted=json)

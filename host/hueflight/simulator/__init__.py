@@ -10,6 +10,8 @@ histograms are drawn from it. `docs/simulator.md` describes the model.
 ((192, 128, 512), 100)
 """
 
+from hueflight.simulator.effects import Effects
+from hueflight.simulator.ground_truth import EffectTruth, effect_truth, write_truth
 from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
 from hueflight.simulator.named_scenes import SCENES, NamedScene, scene, scenes
 from hueflight.simulator.probabilities import code_probabilities, probability_tiles
@@ -30,6 +32,8 @@ __all__ = [
     "NOTHING",
     "SCENES",
     "CaptureKind",
+    "EffectTruth",
+    "Effects",
     "Exposure",
     "NamedScene",
     "Pixels",
@@ -38,6 +42,7 @@ __all__ = [
     "SimulationSettings",
     "Truth",
     "code_probabilities",
+    "effect_truth",
     "expected_rates",
     "exposures",
     "pixels",
@@ -51,4 +56,5 @@ __all__ = [
     "simulate_packets",
     "time_bins",
     "white_photons",
+    "write_truth",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -10,8 +10,12 @@ from numpy.typing import NDArray
 
 from hueflight.errors import InstrumentError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.pulses import Pulse
 from hueflight.model.spectra import WAVELENGTH_NM, detection, mean_detection
 from hueflight.model.time_bins import TimeBins
+from hueflight.simulator.effects.background_shape import UnevenBackground, background_shares
+from hueflight.simulator.effects.pulse_changes import pulse_trains
+from hueflight.simulator.effects.returns import Return, fixed_reflection, lens_flare
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings, pixels, time_bins
 
@@ -25,17 +29,23 @@ class Rates:
     instrument : Instrument
         Instrument whose bands and pulses the photons belong to.
     photons : ndarray of float, shape (band, row, col)
-        Detectable LED photons per period.
+        Detectable LED photons per period, without those of `further`.
     delay_ns : ndarray of float, shape (row, col)
         Sum of the time of flight and the delay of the pixel, ns.
     background : ndarray of float, shape (row, col)
-        Detectable background photons per period, constant in time.
+        Detectable background photons per period that are constant in time.
     periods : int
         Number of periods in one exposure.
     bins : TimeBins
         Bins of the simulated converter.
     pile_up : bool
         Whether an early photon hides later ones of its period.
+    further : tuple of Return
+        LED light that arrives by further paths, each with a delay of its own.
+    trains : tuple of tuple of Pulse, or None
+        Pulses of each band where they differ from those of the instrument.
+    uneven : UnevenBackground or None
+        Background that is not constant in time, in addition to `background`.
     """
 
     instrument: Instrument
@@ -45,6 +55,9 @@ class Rates:
     periods: int
     bins: TimeBins
     pile_up: bool
+    further: tuple[Return, ...] = ()
+    trains: tuple[tuple[Pulse, ...], ...] | None = None
+    uneven: UnevenBackground | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -64,14 +77,13 @@ class Rates:
         Rates
             Rates of these rows alone.
         """
-        return Rates(
-            instrument=self.instrument,
+        return replace(
+            self,
             photons=self.photons[:, rows],
             delay_ns=self.delay_ns[rows],
             background=self.background[rows],
-            periods=self.periods,
-            bins=self.bins,
-            pile_up=self.pile_up,
+            further=tuple(part.rows(rows) for part in self.further),
+            uneven=self.uneven and self.uneven.rows(rows),
         )
 
     def detections(self) -> NDArray[np.float64]:
@@ -82,7 +94,12 @@ class Rates:
         ndarray of float, shape (row, col)
             Detectable photons per exposure, of the LEDs and of the background together.
         """
-        return self.periods * (self.photons.sum(axis=0) + self.background)
+        photons = self.photons.sum(axis=0) + self.background
+        for part in self.further:
+            photons = photons + part.photons.sum(axis=0)
+        if self.uneven is not None:
+            photons = photons + self.uneven.photons
+        return self.periods * photons
 
     def occupancy(self) -> NDArray[np.float64]:
         """Probability that an exposure contains at least one photon.
@@ -193,32 +210,144 @@ def expected_rates(
         If the scene was made for another geometry or `settings.drive` for other bands.
     """
     settings = settings or SimulationSettings()
-    scene.require_fit(instrument)
+    effects = settings.effects
+    first, *others = scene_returns(scene, instrument, settings)
     sensor_pixels = pixels(instrument, settings)
     bins = time_bins(instrument, settings)
-    ray_cosine = instrument.ray_cosine()
-    range_m = np.where(scene.visible, scene.depth, 1.0) / ray_cosine
-    vignetting = ray_cosine**4
-
-    white = white_photons(instrument, settings)
-    emitted = white * settings.band_drive(instrument)
-    geometry = np.where(scene.visible, ray_cosine * scene.incidence / range_m**2 * vignetting, 0.0)
-    reflected = scene.band_reflectance(instrument) + scene.glare
-    photons = emitted[:, None, None] * reflected * scene.light * geometry
-
-    ambient = settings.ambient * white.sum() * vignetting
-    ambient = ambient * scene.mean_reflectance(_ambient_weights(instrument))
+    ambient = _ambient_light(scene, instrument, settings)
     dark = sensor_pixels.dark_rate_hz * bins.span_ns * 1e-9
     alive = ~sensor_pixels.dead
+    uneven = None
+    if effects.background_ramp or effects.background_decay_share:
+        uneven = UnevenBackground(ambient * alive, background_shares(bins, effects))
+        ambient = np.zeros_like(ambient)
     return Rates(
         instrument=instrument,
-        photons=photons * alive,
-        delay_ns=2 * range_m / SPEED_OF_LIGHT_M_PER_NS + sensor_pixels.delay_ns,
+        photons=first.photons * alive,
+        delay_ns=first.delay_ns + sensor_pixels.delay_ns,
         background=(ambient + dark) * alive,
         periods=periods_per_exposure(instrument),
         bins=bins,
         pile_up=settings.pile_up,
+        further=tuple(
+            replace(
+                part,
+                photons=part.photons * alive,
+                delay_ns=part.delay_ns + sensor_pixels.delay_ns,
+            )
+            for part in others
+        ),
+        trains=pulse_trains(instrument, effects),
+        uneven=uneven,
     )
+
+
+def scene_returns(
+    scene: Scene, instrument: Instrument, settings: SimulationSettings | None = None
+) -> tuple[Return, ...]:
+    """Return all LED light that the pixels receive, by path.
+
+    Unlike `expected_rates`, this is the light in front of the sensor: it contains neither the
+    delays of the pixels nor their defects.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene, laid out for the same instrument.
+    instrument : Instrument
+        Instrument that looks at it.
+    settings : SimulationSettings, optional
+        Light level and effects; the defaults if left out.
+
+    Returns
+    -------
+    tuple of Return
+        First the light of the scene: of the ray through each pixel's centre, or of each ray of a
+        footprint. Then that of the effects that are on.
+
+    Raises
+    ------
+    SceneError
+        If the scene was made for another geometry, or if the strengths of the LEDs are given for
+        another number of bands.
+    """
+    settings = settings or SimulationSettings()
+    effects = settings.effects
+    scene.require_fit(instrument)
+    white = white_photons(instrument, settings)
+    emitted = white * settings.band_drive(instrument)
+    parts = scene.footprint or (scene,)
+    returns: list[Return] = []
+    for part in parts:
+        surface = _surface_return(part, instrument, emitted)
+        if len(parts) > 1:
+            surface = replace(surface, photons=surface.photons / len(parts))
+        if effects.pane_share:
+            behind = effects.pane_share * _behind_pane(part, effects.pane_depth)
+            surface = replace(surface, photons=surface.photons * (1 - behind))
+            pane = _facing_plane("pane", effects.pane_depth, _ray_cosine(part, instrument), emitted)
+            returns.append(replace(pane, photons=pane.photons * behind / len(parts)))
+        returns.append(surface)
+    returns.sort(key=lambda part: part.name != "surface")  # stable: the scene's light comes first
+    if effects.flare_share:
+        returns.append(lens_flare(returns, effects.flare_share, effects.flare_delay_ns))
+    if effects.reflection:
+        at_once = effects.reflection_delay_ns
+        returns.append(fixed_reflection(effects.reflection * emitted, at_once, scene.shape))
+    return tuple(returns)
+
+
+def _surface_return(scene: Scene, instrument: Instrument, emitted: NDArray[np.float64]) -> Return:
+    ray_cosine = _ray_cosine(scene, instrument)
+    range_m = np.where(scene.visible, scene.depth, 1.0) / ray_cosine
+    vignetting = ray_cosine**4
+    geometry = np.where(scene.visible, ray_cosine * scene.incidence / range_m**2 * vignetting, 0.0)
+    reflected = scene.band_reflectance(instrument) + scene.glare
+    photons = emitted[:, None, None] * reflected * scene.light * geometry
+    return Return("surface", photons, 2 * range_m / SPEED_OF_LIGHT_M_PER_NS, scene.depth)
+
+
+def _facing_plane(
+    name: str, depth_m: float, ray_cosine: NDArray[np.float64], emitted: NDArray[np.float64]
+) -> Return:
+    """Light of a white plane that faces the camera."""
+    range_m = depth_m / ray_cosine
+    geometry = ray_cosine**2 / range_m**2 * ray_cosine**4
+    depth = np.full(ray_cosine.shape, depth_m)
+    photons = emitted[:, None, None] * geometry
+    return Return(name, photons, 2 * range_m / SPEED_OF_LIGHT_M_PER_NS, depth)
+
+
+def _ambient_light(
+    scene: Scene, instrument: Instrument, settings: SimulationSettings
+) -> NDArray[np.float64]:
+    """Detectable photons of steady light per period, (row, col)."""
+    effects = settings.effects
+    full = settings.ambient * white_photons(instrument, settings).sum()
+    weights = _ambient_weights(instrument)
+    parts = scene.footprint or (scene,)
+    total: NDArray[np.float64] | None = None
+    for part in parts:
+        ambient = full * _ray_cosine(part, instrument) ** 4
+        reflected = part.mean_reflectance(weights)
+        if effects.sky:
+            reflected = np.where(part.visible, reflected, effects.sky)
+        if effects.pane_share:
+            behind = effects.pane_share * _behind_pane(part, effects.pane_depth)
+            reflected = reflected * (1 - behind) + behind
+        ambient = ambient * reflected
+        total = ambient if total is None else total + ambient
+    assert total is not None  # there is at least one part
+    return total if len(parts) == 1 else total / len(parts)
+
+
+def _behind_pane(scene: Scene, depth_m: float) -> NDArray[np.bool_]:
+    """Where a pane at a depth stands in front of what a ray meets, (row, col)."""
+    return ~(scene.visible & (scene.depth <= depth_m))
+
+
+def _ray_cosine(scene: Scene, instrument: Instrument) -> NDArray[np.float64]:
+    return instrument.ray_cosine() if scene.rays is None else scene.rays.cosine
 
 
 def _power_w(instrument: Instrument) -> NDArray[np.float64]:

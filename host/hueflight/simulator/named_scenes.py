@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Any
 
@@ -15,6 +15,8 @@ from hueflight.color.color_chart import PATCHES, patch_reflectances
 from hueflight.errors import SceneError
 from hueflight.model.instrument import Instrument
 from hueflight.model.spectra import reflectance
+from hueflight.simulator.effects.footprint import Rays, footprint_rays
+from hueflight.simulator.open_scenes import skyline
 from hueflight.simulator.paper_scenes import shelf_scene, wall_scene
 from hueflight.simulator.scene import NOTHING, Layer, Scene, illuminator_positions, trace
 from hueflight.simulator.scene_layout import Layout, SurfaceTable
@@ -146,6 +148,7 @@ SCENES: dict[str, NamedScene] = {
     "colorchecker": NamedScene(color_checker, "24 patches of known colour on a grey wall"),
     "plane": NamedScene(plane, "a wall of one surface at one distance"),
     "staircase": NamedScene(staircase, "vertical strips at increasing distance"),
+    "skyline": NamedScene(skyline, "towers and an absorber in front of an empty sky"),
     "empty": NamedScene(empty, "nothing: dark counts only"),
 }
 
@@ -168,6 +171,7 @@ def scene(
     illuminator_m: tuple[float, float] = (0.065, 0.0),
     ring_m: float = 0.01,
     indirect: float = 0.03,
+    rays: int = 1,
     **options: Any,
 ) -> Scene:
     """Lay out a named scene for an instrument.
@@ -187,6 +191,9 @@ def scene(
         the right.
     indirect : float
         Fraction of the light that reaches a shadow by way of other surfaces, 0 to 1.
+    rays : int, default 1
+        Number of rays along each side of a pixel. With more than 1, `Scene.footprint` holds the
+        scene along each ray, and the light of a pixel is their mean.
     **options : float, int or str
         Options of the scene: the keyword arguments of its `SCENES` entry's `build`.
 
@@ -216,14 +223,22 @@ def scene(
                 f"scene {name!r} with {options}: an object is at {layer.depth_m:g} m; "
                 "distances must be positive and finite"
             )
-    return trace(
-        name,
-        layout.layers,
-        instrument,
-        surfaces=tuple(layout.surfaces.spectra),
-        spectra=layout.surfaces.table(),
-        regions=layout.regions,
-        gloss=layout.gloss,
-        leds_m=illuminator_positions(instrument, illuminator_m, ring_m),
-        indirect=indirect,
-    )
+
+    def along(rays: Rays | None) -> Scene:
+        return trace(
+            name,
+            layout.layers,
+            instrument,
+            surfaces=tuple(layout.surfaces.spectra),
+            spectra=layout.surfaces.table(),
+            regions=layout.regions,
+            gloss=layout.gloss,
+            leds_m=illuminator_positions(instrument, illuminator_m, ring_m),
+            indirect=indirect,
+            rays=rays,
+        )
+
+    if rays == 1:
+        return along(None)
+    footprint = tuple(along(ray) for ray in footprint_rays(instrument, rays))
+    return replace(along(None), footprint=footprint)

@@ -12,7 +12,7 @@ The exposure begins with a period.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, floor
 
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.model.instrument import Instrument
+from hueflight.model.pulses import Pulse
 from hueflight.model.time_bins import TimeBins
 from hueflight.simulator.light import Rates
 
@@ -50,10 +51,15 @@ class PulseTable:
 
     @classmethod
     def build(
-        cls, instrument: Instrument, bins: TimeBins, delay_ns: NDArray[np.floating]
+        cls,
+        instrument: Instrument,
+        bins: TimeBins,
+        delay_ns: NDArray[np.floating],
+        trains: Sequence[Sequence[Pulse]] | None = None,
     ) -> PulseTable:
-        """Tabulate the pulses of an instrument over a range that covers all given delays, ns."""
-        trains = [instrument.pulses(band) for band in range(len(instrument.bands))]
+        """Tabulate pulses, by default the instrument's, over a range that covers all delays, ns."""
+        if trains is None:
+            trains = [instrument.pulses(band) for band in range(len(instrument.bands))]
         step_ns = min(pulse.sigma_ns for train in trains for pulse in train) / STEPS_PER_SIGMA
         first = floor(float(delay_ns.min()) / step_ns) - 1
         last = ceil(float(delay_ns.max()) / step_ns) + 2
@@ -124,7 +130,7 @@ def code_probabilities(rates: Rates, rows: slice = slice(None)) -> NDArray[np.fl
         probabilities of a pixel sum to 1; otherwise they sum to its occupancy.
     """
     part = rates.rows(rows)
-    table = PulseTable.build(rates.instrument, rates.bins, part.delay_ns)
+    table = _pulse_table(part)
     return _tile_probabilities(part, table)
 
 
@@ -143,7 +149,7 @@ def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]
     probabilities : ndarray of float, shape (row, col, code)
         Probability of each code in these rows.
     """
-    table = PulseTable.build(rates.instrument, rates.bins, rates.delay_ns)
+    table = _pulse_table(rates)
     rows, cols = rates.shape
     step = max(1, _TILE_BYTES // (8 * cols * rates.instrument.sensor.codes))
     for start in range(0, rows, step):
@@ -151,12 +157,22 @@ def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]
         yield tile, _tile_probabilities(rates.rows(tile), table)
 
 
+def _pulse_table(rates: Rates) -> PulseTable:
+    delays = [rates.delay_ns, *(part.delay_ns for part in rates.further)]
+    extremes = np.array([limit for delay in delays for limit in (delay.min(), delay.max())])
+    return PulseTable.build(rates.instrument, rates.bins, extremes, rates.trains)
+
+
 def _tile_probabilities(rates: Rates, table: PulseTable) -> NDArray[np.float64]:
     """Probability of every code, shape (row, col, code); the table must cover all delays."""
     sensor, bins = rates.instrument.sensor, rates.bins
     bands = rates.photons.shape[0]
     expected = table.expected(rates.photons.reshape(bands, -1), rates.delay_ns.ravel())
+    for part in rates.further:
+        expected += table.expected(part.photons.reshape(bands, -1), part.delay_ns.ravel())
     expected += rates.background.reshape(-1, 1) * (bins.widths_ns / bins.span_ns)
+    if rates.uneven is not None:
+        expected += rates.uneven.photons.reshape(-1, 1) * rates.uneven.shares
     in_bins = first_photon_probabilities(expected, rates.periods, pile_up=rates.pile_up)
     result = np.zeros((expected.shape[0], sensor.codes))
     result[:, bins.codes] = in_bins

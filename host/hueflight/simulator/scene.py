@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hueflight.errors import SceneError
 from hueflight.model.instrument import Instrument
 from hueflight.model.spectra import WAVELENGTH_NM, band_weights
+from hueflight.simulator.effects.footprint import Rays
 
 NOTHING = -1  #: surface index where a ray meets nothing
 
@@ -98,6 +99,11 @@ class Scene:
         Specular reflection added to the reflectance, the same in all bands.
     regions : mapping of str to ndarray of bool, shape (row, col)
         Mask of each object.
+    rays : Rays or None
+        Directions in which the pixels look; None for the centres of the instrument's pixels.
+    footprint : tuple of Scene
+        The scene along each ray of the pixels' footprint, whose light is averaged; empty where a
+        pixel sees along the ray through its centre only.
     """
 
     name: str
@@ -109,6 +115,8 @@ class Scene:
     light: NDArray[np.float64]
     glare: NDArray[np.float64]
     regions: Mapping[str, NDArray[np.bool_]]
+    rays: Rays | None = None
+    footprint: tuple[Scene, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -244,6 +252,7 @@ def trace(
     gloss: Mapping[str, float],
     leds_m: NDArray[np.float64],
     indirect: float,
+    rays: Rays | None = None,
 ) -> Scene:
     """Trace the rays of an instrument to layers and onwards to its LEDs.
 
@@ -267,6 +276,8 @@ def trace(
         Position of each LED, metres right and down of the lens, from `illuminator_positions`.
     indirect : float
         Fraction of the light that reaches a shadow by way of other surfaces, 0 to 1.
+    rays : Rays or None, default None
+        Directions in which the pixels look; None for the centres of the instrument's pixels.
 
     Returns
     -------
@@ -283,10 +294,10 @@ def trace(
             f"spectra have shape {spectra.shape}: give one row of {WAVELENGTH_NM.size} values "
             f"for each of the {len(surfaces)} surfaces"
         )
-    right, down = instrument.ray_slopes()
+    right, down = instrument.ray_slopes() if rays is None else (rays.right, rays.down)
     shape = right.shape
     depth = np.full(shape, np.nan)
-    incidence = instrument.ray_cosine().copy()
+    incidence = instrument.ray_cosine().copy() if rays is None else rays.cosine
     surface = np.full(shape, NOTHING, dtype=np.intp)
     light = np.ones((len(instrument.bands), *shape))
     in_front: list[Layer] = []
@@ -329,6 +340,7 @@ def trace(
             region: np.isin(surface, [list(surfaces).index(member) for member in members])
             for region, members in regions.items()
         },
+        rays=rays,
     )
 
 

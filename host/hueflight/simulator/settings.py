@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import Any
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from hueflight.errors import SceneError
 from hueflight.model.instrument import Instrument
 from hueflight.model.time_bins import TimeBins
+from hueflight.simulator.effects.sensor_changes import drifted_bins, pixels_turned_hot
+from hueflight.simulator.effects.settings import Effects
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +50,8 @@ class SimulationSettings:
         kept either way.
     seed : int
         Seed of the imperfections: equal seeds give equal instruments.
+    effects : Effects
+        Effects that an ideal model leaves out; all are off by default.
     """
 
     white_detections: float = 0.35
@@ -63,6 +67,7 @@ class SimulationSettings:
     inl_lsb: float = 0.5
     pile_up: bool = True
     seed: int = 0
+    effects: Effects = field(default_factory=Effects)
 
     def __post_init__(self) -> None:
         for name in (
@@ -208,6 +213,11 @@ def pixels(instrument: Instrument, settings: SimulationSettings) -> Pixels:
     dark_rate = (
         settings.dark_counts * sensor.dark_count_hz * np.exp(settings.dark_spread * darkness)
     )
+    # drawn after the others, so that this effect changes no pixel that it does not make hot
+    if settings.effects.new_hot_share:
+        hot = hot | pixels_turned_hot(
+            hot, dead, share=settings.effects.new_hot_share, seed=settings.seed
+        )
     coolest, hottest = _HOT_RATE_HZ
     dark_rate = np.where(hot, coolest * (hottest / coolest) ** heat, dark_rate)
     delay = settings.delay_skew_ns * across + settings.delay_spread_ns * own_delay
@@ -228,7 +238,8 @@ def time_bins(instrument: Instrument, settings: SimulationSettings) -> TimeBins:
 
     Widths vary at random, and edges deviate along an arch over the whole range, as with a drifting
     ring oscillator. The last full code ends at its nominal time, so that the partial code of a
-    period that is not a whole number of codes keeps its nominal width.
+    period that is not a whole number of codes keeps its nominal width. `Effects.bin_width_drift`
+    changes the widths of all codes after that.
 
     Parameters
     ----------
@@ -247,6 +258,12 @@ def time_bins(instrument: Instrument, settings: SimulationSettings) -> TimeBins:
     SceneError
         If the nonlinearity is so large that a code has no width.
     """
+    bins = _converter_bins(instrument, settings)
+    spread = settings.effects.bin_width_drift
+    return drifted_bins(bins, spread=spread, seed=settings.seed) if spread else bins
+
+
+def _converter_bins(instrument: Instrument, settings: SimulationSettings) -> TimeBins:
     nominal = instrument.time_bins()
     if settings.dnl_lsb == 0 and settings.inl_lsb == 0:
         return nominal

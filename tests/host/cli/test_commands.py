@@ -139,6 +139,9 @@ def test_one_led_at_a_time_goes_into_a_calibration(bench: Path, run) -> None:
         (["info", "foreign.mcap"], "foreign.mcap"),
         (["simulate", "castle", "-o", "x.npz"], "castle"),
         (["simulate", "-o", "x.txt", "--frames", "1"], "must end in .mcap (packets) or .npz"),
+        (["simulate", "-o", "x.npz", "--tail-share", "2"], "effects.tail_share = 2.0"),
+        (["simulate", "-o", "x.npz", "--truth", "x.txt"], "--truth x.txt: the name must end in"),
+        (["simulate", "--capture", "dark", "--rays", "2", "-o", "x.npz"], "--rays 2"),
         (["simulate", "-o", "x.npz", "--instrument", "papper"], "no instrument 'papper'"),
         (
             ["calibrate", "foreign.npz", "-d", "0.4", "-o", "c.zarr"],
@@ -264,6 +267,35 @@ def test_brackets_in_a_path_reach_table_and_message(bench: Path, run) -> None:
     refused = run("simulate", "plane", *words)
     assert refused.code == 1
     assert "lab[/run].npz" in refused.err
+
+
+def test_a_simulation_with_effects_says_which_and_writes_their_truth(bench: Path, run) -> None:
+    words = ("--instrument", "bench.toml", "--frames", "20", "--json")
+    effects = ("--rays", "2", "--pane-share", "0.3", "--delay-drift-ps=-50", "--new-hot-share=0.1")
+    done = run("simulate", "fig7", *words, *effects, "-o", "a.mcap", "--truth", "truth.npz")
+    assert done.code == 0, done.err
+    shown = "pane_share = 0.3, delay_drift_ps = -50.0, new_hot_share = 0.1"
+    assert done.json["effects"] == shown
+    assert run("info", "a.mcap", "--json").json["metadata"]["effects"] == shown
+    with np.load(bench / "truth.npz") as truth:
+        assert truth["depth"].shape == (12, 10)
+        assert truth["shares"].sum(axis=0) == pytest.approx(1)
+        assert truth["turned_hot"].sum() == 12
+        assert truth["delay_drift_ps"].tolist() == [-50, -50, -50]
+    plain = run("simulate", "fig7", *words, "-o", "plain.mcap")
+    assert "effects" not in plain.json
+    assert "effects" not in run("info", "plain.mcap", "--json").json["metadata"]
+    for kind in ("reference", "bands", "dark"):
+        name = f"{kind}.npz"
+        out = ("-o", f"capture_{name}", "--truth", f"truth_{name}")
+        assert run("simulate", "--capture", kind, *words, "--reflection", "0.5", *out).code == 0
+        with np.load(bench / f"truth_{name}") as truth:
+            assert bool(truth["stray_photons"].any()) == (kind != "dark")
+    # nothing was replaced, and nothing written
+    again = run("simulate", "fig7", *words, "-o", "b.mcap", "--truth", "truth.npz")
+    assert again.code == 1
+    assert "truth.npz" in again.err
+    assert not (bench / "b.mcap").exists()
 
 
 def recorded(run, name: str, frames: int = 300) -> None:

@@ -7,17 +7,35 @@ import numpy as np
 import pytest
 
 from hueflight import Instrument
-from hueflight.simulator import SCENES, SimulationSettings, radiometric_detections
+from hueflight.simulator import (
+    SCENES,
+    Effects,
+    EffectTruth,
+    SimulationSettings,
+    radiometric_detections,
+)
 
 PAGE = (Path(__file__).parents[3] / "docs" / "simulator.md").read_text("utf-8")
 
 
 def test_the_example_runs():
-    (example,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    example, with_effects = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     names = {}
     exec(example, names)
     assert names["histogram"].shape == (192, 128, 512)
     assert isinstance(names["packet"], bytes)
+    exec(with_effects, names)
+    assert names["truth"].shares.sum(axis=0) == pytest.approx(1)
+
+
+def test_effects_and_defaults_are_those_of_the_code():
+    section = PAGE.partition("## Effects of real scenes and sensors")[2].partition("\n## ")[0]
+    shown = dict(re.findall(r"\b([a-z_]+)=([0-9.]+)[,`]", section.partition("\n- **")[0]))
+    described = {name: value for name, value in shown.items() if name in vars(Effects())}
+    # the example comes first, the table last
+    assert {name: float(value) for name, value in described.items()} == vars(Effects())
+    for name in re.findall(r"`([a-z_]+)(?:\(\))?`(?=[^|]*\|$)", section, flags=re.MULTILINE):
+        assert hasattr(EffectTruth, name) or name in EffectTruth.__dataclass_fields__, name
 
 
 def test_options_and_defaults_are_those_of_the_code():

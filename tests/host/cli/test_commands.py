@@ -17,7 +17,7 @@ from hueflight.cli import main
 from hueflight.cli.app import COMMANDS, application
 from hueflight.cli.output import show
 from hueflight.importers import read_counts, read_image
-from hueflight.reconstruction.reconstruct import reconstruct
+from hueflight.reconstruction import reconstruct
 
 TOML = """
 name = "bench"

@@ -95,7 +95,7 @@ class Sensor(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     frame_rate_hz : float or None
         Readouts per second.
     exposure_ms : float or None
-        Exposure time of a frame, ms.
+        Exposure time of a frame, ms; None for an exposure of one period.
     pixel_width_um, pixel_height_um : float or None
         Pitch of the pixels along a row and along a column, µm.
     scan_steps : int

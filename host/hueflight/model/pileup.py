@@ -12,7 +12,27 @@ from numpy.typing import NDArray
 
 from hueflight.model.instrument import Instrument
 
-NEGLIGIBLE = 1e-3  #: photons per period below which the loss within it is not undone
+NEGLIGIBLE = 1e-3  #: photons per period below which the loss within it is not corrected
+
+
+def periods_per_exposure(instrument: Instrument) -> int:
+    """Compute the number of whole periods in one exposure.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose period and exposure time apply.
+
+    Returns
+    -------
+    int
+        Number of periods; 1 where the instrument states no exposure time or no period, because an
+        exposure is then one pass of the time bins.
+    """
+    period_ns, exposure_ms = instrument.timing.period_ns, instrument.sensor.exposure_ms
+    if period_ns is None or exposure_ms is None:
+        return 1
+    return max(1, round(exposure_ms * 1e6 / period_ns))
 
 
 def lost_photons_factor(
@@ -64,12 +84,10 @@ def photons_per_period(
     ndarray of float or None
         Photons per period in the shape of `hits`; None where they can't be known.
     """
-    period_ns, exposure_ms = instrument.timing.period_ns, instrument.sensor.exposure_ms
-    if frames is None or period_ns is None or exposure_ms is None:
+    if frames is None:
         return None
-    periods = exposure_ms * 1e6 / period_ns
     occupancy = np.minimum(hits, frames - 0.5) / frames
-    return -np.log1p(-np.maximum(occupancy, 0)) / periods
+    return -np.log1p(-np.maximum(occupancy, 0)) / periods_per_exposure(instrument)
 
 
 def coates_correction(
@@ -77,8 +95,11 @@ def coates_correction(
 ) -> NDArray[np.floating]:
     """Correct counts for photons that were lost to an earlier photon of the same period.
 
-    The sum of each pixel's counts stays the same. Nothing is changed where no pixel receives more
-    than `NEGLIGIBLE` photons per period.
+    If r photons reach a pixel in a period, the share 1 − exp(−r) of the periods records one. When
+    the share F of those has come, the share 1 − F (1 − exp(−r)) of all periods can still record a
+    photon: counts are divided by this share (Coates, J. Phys. E 1, 878, 1968, with F taken in the
+    middle of a bin) and scaled so that the sum of each pixel stays the same. Nothing is changed
+    where no pixel receives more than `NEGLIGIBLE` photons per period.
 
     Parameters
     ----------
@@ -96,9 +117,8 @@ def coates_correction(
         return light
     earlier = np.cumsum(light, axis=-1, dtype=np.float64)
     total = np.maximum(earlier[..., -1:], 1e-300)
-    earlier = (earlier - 0.5 * light) / total
+    later = (earlier[..., -1:] - earlier + 0.5 * light) / total  # 1 − F
     rate = np.asarray(per_period)[..., None]
-    # survival until a share F of the period's photons has come is exp(−rate·F); its mean 1−e^−r/r
-    corrected = light * np.exp(rate * earlier)
+    corrected = light / (np.exp(-rate) - later * np.expm1(-rate))
     corrected *= total / np.maximum(corrected.sum(axis=-1, keepdims=True), 1e-300)
     return corrected.astype(light.dtype if light.dtype.kind == "f" else np.float32)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import InstrumentError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+from hueflight.model.pileup import periods_per_exposure
 from hueflight.model.pulses import Pulse
 from hueflight.model.spectra import WAVELENGTH_NM, detection, mean_detection
 from hueflight.model.time_bins import TimeBins
@@ -110,14 +111,6 @@ class Rates:
             Fraction of exposures that are not empty, 0 to 1.
         """
         return -np.expm1(-self.detections())
-
-
-def periods_per_exposure(instrument: Instrument) -> int:
-    """Whole periods in one exposure; 1 for an instrument without a period or exposure time."""
-    period_ns, exposure_ms = instrument.timing.period_ns, instrument.sensor.exposure_ms
-    if period_ns is None or exposure_ms is None:
-        return 1
-    return max(1, round(exposure_ms * 1e6 / period_ns))
 
 
 def white_photons(instrument: Instrument, settings: SimulationSettings) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import SceneError
 from hueflight.model.instrument import Instrument
-from hueflight.simulator.light import periods_per_exposure
+from hueflight.model.pileup import periods_per_exposure
 from hueflight.simulator.named_scenes import scene as make_scene
 from hueflight.simulator.sampling import require_codes, simulate_codes, simulate_histogram
 from hueflight.simulator.scene import Scene

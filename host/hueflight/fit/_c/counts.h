@@ -205,7 +205,7 @@ INLINE vec exponential(vec x)
     return series * (vec)((n + 127) << 23);
 }
 
-/* Counts as if early photons of a period had not hidden later ones (Coates, 1968); see
+/* Corrects counts for photons that were lost to an earlier one of their period (Coates, 1968); see
  * coates_correction in pileup.py. Both arrays have room for whole vectors. */
 INLINE void coates_correct(float *counts, int bins, float rate, float *earlier)
 {
@@ -220,11 +220,12 @@ INLINE void coates_correct(float *counts, int bins, float rate, float *earlier)
         store(earlier + v * LANES, before + sofar - 0.5f * h);
         before += fill(sofar[LANES - 1]);
     }
-    float total = before[0], scale = rate / (total > 1e-30f ? total : 1e-30f);
+    float empty = 1.0f / exponential(fill(rate < 80.0f ? rate : 80.0f))[0]; /* share of periods */
+    float total = before[0], scale = (1.0f - empty) / (total > 1e-30f ? total : 1e-30f);
     vec whole = {0};
     for (int v = 0; v < blocks; v++) {
-        vec x = load(earlier + v * LANES) * scale;
-        vec h = load(counts + v * LANES) * exponential(choose(x < 80.0f, x, fill(80.0f)));
+        vec later = total - load(earlier + v * LANES);
+        vec h = load(counts + v * LANES) / (empty + later * scale);
         store(counts + v * LANES, h);
         whole += h;
     }

@@ -17,7 +17,7 @@ COMMANDS = {
     "capture": "Record a capture from the camera.",
     "demo": "Redraw the published figures from a simulated instrument, as a page with pictures.",
     "export": "Write an image in a format that other tools open.",
-    "info": "Show what a recording holds.",
+    "info": "Show what a file is, what it holds and whether it is whole.",
     "reconstruct": "Reconstruct depth and reflectance in every band from one or many captures.",
     "recover": "Save what is left of a damaged or unfinished recording.",
     "serve": "Run the capture daemon: live page, HTTP interface and recordings.",
@@ -33,7 +33,7 @@ EXIT_CODES = """**Exit codes**
 
 - 0: The command did what was asked.
 - 1: The command failed or its arguments were wrong; a message on standard error says why.
-- 3: The command recover saved a recording, but some of its data was lost.
+- 3: Some data is lost: recover saved what is left, or info found a file damaged or incomplete.
 - 130: The command was interrupted with Ctrl-C.
 """
 

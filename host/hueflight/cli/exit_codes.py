@@ -1,4 +1,5 @@
-"""Exit codes that commands share; `recover` adds 3 for a recording with losses."""
+"""Exit codes that commands share."""
 
+DATA_LOST = 3  #: some data is missing or damaged, as `recover` and `info` report it
 FAILED = 1  #: the command could not do what was asked
 INTERRUPTED = 130  #: Ctrl-C, as shells report it

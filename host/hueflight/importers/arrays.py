@@ -116,7 +116,7 @@ def _read_npz(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None
 
 def _read_zarr(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None]:
     node = zarr.open(path, mode="r")
-    text = _description(dict(node.attrs))
+    text = description_in(dict(node.attrs))
     if isinstance(node, zarr.Array):
         if dataset is not None:
             raise FileFormatError(
@@ -139,7 +139,7 @@ def _read_hdf5(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | Non
         array = file[_choose(path, names, dataset)]
         if array.dtype.kind not in "uif":
             raise FileFormatError(f"{str(path)!r}: {array.name} holds {array.dtype}, not numbers")
-        return array[...], _description(dict(file.attrs))
+        return array[...], description_in(dict(file.attrs))
 
 
 def _choose(path: Path, names: list[str], dataset: str | None) -> str:
@@ -160,7 +160,8 @@ def _choose(path: Path, names: list[str], dataset: str | None) -> str:
     )
 
 
-def _description(attributes: dict[str, Any]) -> str | None:
+def description_in(attributes: dict[str, Any]) -> str | None:
+    """Return the description of an instrument as JSON, if attributes of a file hold one."""
     for name in DESCRIPTIONS:
         value = attributes.get(name)
         if isinstance(value, bytes):

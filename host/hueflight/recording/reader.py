@@ -46,7 +46,7 @@ class RecordingInfo:
         Bytes of all files together.
     seconds : float or None
         Time from the first to the last frame by the device clock; None if the packets state no
-        clock rate.
+        clock rate, or one of the last ones is damaged.
     metadata : dict of str
         Notes of the user about the capture.
     attachments : tuple of str
@@ -457,7 +457,9 @@ class Recording:
             ticks, clock_hz = self._clock()
         except RecordingError:
             return None
-        (last,) = self.packets(self.frames - 1, self.frames)
+        last = next(self.packets(self.frames - 1, self.frames), None)
+        if last is None:  # a packet of the last chunk is damaged
+            return None
         return (FRAME_HEADER.unpack(last)["timestamp"] - int(ticks[0])) / clock_hz
 
 

@@ -207,6 +207,28 @@ def recover(
     return _recovery(Outcome.WHOLE, files, found, path=out, frames=writer.frames)
 
 
+def check_recording(path: str | Path, /) -> Recovery:
+    """Read all files of a recording and compare them with their checksums; nothing is written.
+
+    Parameters
+    ----------
+    path : str or Path
+        Path of the recording's first file.
+
+    Returns
+    -------
+    Recovery
+        What is damaged or missing, without a new recording.
+
+    Raises
+    ------
+    RecordingError
+        If there are no files, or they can't be read.
+    """
+    files = _files(Path(path))
+    return _recovery(Outcome.WHOLE, files, [_examine(file) for file in files.values()])
+
+
 def _recovery(
     outcome: Outcome,
     files: dict[int, Path],

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.reconstruction.interleaved import (
         reconstruct_interleaved as reconstruct_alternated,
     )
+    from hueflight.reconstruction.mixed_pixels import flag_mixed
     from hueflight.reconstruction.quality import Quality
     from hueflight.reconstruction.uncertainty import reflectance_interval
     from hueflight.recording import open_recording
@@ -43,6 +44,7 @@ _HOME = {
     "color_picture": "hueflight.color",
     "compare": "hueflight.analysis",
     "depth_bound": "hueflight.reconstruction.bounds",
+    "flag_mixed": "hueflight.reconstruction.mixed_pixels",
     "open_recording": "hueflight.recording",
     "read_capture": "hueflight.importers.captures",
     "read_counts": "hueflight.importers",
@@ -86,6 +88,7 @@ __all__ = [
     "color_picture",
     "compare",
     "depth_bound",
+    "flag_mixed",
     "open_recording",
     "read_capture",
     "read_counts",

@@ -16,7 +16,14 @@ from hueflight.reconstruction.quality import Quality
 #: mask (row, col), or a pair of slices
 Region: TypeAlias = NDArray[np.bool_] | tuple[slice, slice]
 
-UNRELIABLE = Quality.DEAD | Quality.HOT | Quality.SATURATED | Quality.AMBIGUOUS | Quality.SKIPPED
+UNRELIABLE = (
+    Quality.DEAD
+    | Quality.HOT
+    | Quality.SATURATED
+    | Quality.AMBIGUOUS
+    | Quality.SKIPPED
+    | Quality.MIXED
+)
 
 
 def reliable(image: xr.Dataset, /) -> xr.DataArray:
@@ -30,7 +37,7 @@ def reliable(image: xr.Dataset, /) -> xr.DataArray:
     Returns
     -------
     DataArray of bool, dims (..., row, col)
-        False where a pixel is dead, hot, saturated, ambiguous or skipped.
+        False where a pixel is dead, hot, saturated, ambiguous, skipped or mixed.
     """
     return (image["quality"] & int(UNRELIABLE)) == 0
 

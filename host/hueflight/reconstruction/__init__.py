@@ -20,6 +20,12 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.reconstruction.inputs import PreparedHistogram
     from hueflight.reconstruction.interleaved import reconstruct_interleaved
     from hueflight.reconstruction.methods import METHODS, Estimator, find_method, register
+    from hueflight.reconstruction.mixed_pixels import (
+        MixedPixels,
+        find_mixed,
+        flag_mixed,
+        near_share,
+    )
     from hueflight.reconstruction.options import (
         BINDING_OPTIONS,
         DEFAULT_SKIPS,
@@ -41,6 +47,7 @@ _HOME = {
     "Estimator": "hueflight.reconstruction.methods",
     "EstimatorOptions": "hueflight.reconstruction.options",
     "METHODS": "hueflight.reconstruction.methods",
+    "MixedPixels": "hueflight.reconstruction.mixed_pixels",
     "NO_SKIPS": "hueflight.reconstruction.options",
     "PreparedHistogram": "hueflight.reconstruction.inputs",
     "Quality": "hueflight.reconstruction.quality",
@@ -51,9 +58,12 @@ _HOME = {
     "depth_bound": "hueflight.reconstruction.bounds",
     "expected_shares": "hueflight.reconstruction.bounds",
     "find_method": "hueflight.reconstruction.methods",
+    "find_mixed": "hueflight.reconstruction.mixed_pixels",
     "fisher_information": "hueflight.reconstruction.bounds",
+    "flag_mixed": "hueflight.reconstruction.mixed_pixels",
     "frames_needed": "hueflight.reconstruction.stopping",
     "information": "hueflight.reconstruction.bounds",
+    "near_share": "hueflight.reconstruction.mixed_pixels",
     "reconstruct": "hueflight.reconstruction.entry_point",
     "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
     "reconstruct_packets": "hueflight.reconstruction.entry_point",
@@ -72,6 +82,7 @@ __all__ = [
     "Estimates",
     "Estimator",
     "EstimatorOptions",
+    "MixedPixels",
     "PreparedHistogram",
     "Quality",
     "Region",
@@ -81,9 +92,12 @@ __all__ = [
     "depth_bound",
     "expected_shares",
     "find_method",
+    "find_mixed",
     "fisher_information",
+    "flag_mixed",
     "frames_needed",
     "information",
+    "near_share",
     "reconstruct",
     "reconstruct_interleaved",
     "reconstruct_packets",

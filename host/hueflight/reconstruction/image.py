@@ -11,7 +11,7 @@ import xarray as xr
 
 from hueflight.calibration import Calibration
 from hueflight.reconstruction.estimates import Estimates
-from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.quality import flag_attributes
 
 UNITS = {
     "depth": "m",
@@ -65,11 +65,7 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
     variables["quality"] = (
         plane,
         estimates.quality,
-        {
-            "long_name": "quality flags",
-            "flag_masks": [int(flag) for flag in Quality],
-            "flag_meanings": " ".join((flag.name or "").lower() for flag in Quality),
-        },
+        {"long_name": "quality flags", **flag_attributes()},
     )
     instrument = calibration.instrument
     coordinates: dict[str, Any] = {

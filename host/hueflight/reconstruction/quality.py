@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntFlag
+from typing import Any
 
 
 class Quality(IntFlag):
@@ -27,6 +28,8 @@ class Quality(IntFlag):
         Background alone explains the counts: no surface was detected.
     OUT_OF_RANGE : int
         The best delay lies at the end of the searched range, or behind the camera.
+    MIXED : int
+        The depth lies between two surfaces beside the pixel; set by `flag_mixed`.
     """
 
     DEAD = 1
@@ -37,4 +40,19 @@ class Quality(IntFlag):
     SKIPPED = 32
     NO_RETURN = 64
     OUT_OF_RANGE = 128
+    MIXED = 512
     STARVED = LOW_SIGNAL
+
+
+def flag_attributes() -> dict[str, Any]:
+    """Return the attributes of the variable `quality` that say what its bits mean.
+
+    Returns
+    -------
+    dict
+        ``flag_masks`` and ``flag_meanings`` of the CF conventions.
+    """
+    return {
+        "flag_masks": [int(flag) for flag in Quality],
+        "flag_meanings": " ".join((flag.name or "").lower() for flag in Quality),
+    }

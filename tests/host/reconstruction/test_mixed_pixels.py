@@ -1,0 +1,191 @@
+"""Pixels at edges: flagged where their depth lies between two surfaces, and only there.
+
+Pixels see a disc in front of a wall, or a tilted plane, by 8 × 8 rays each, in a model that shares
+no code with the simulator: photons are drawn from the instrument's pulses themselves.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+import hueflight as hf
+from hueflight.analysis import reliable, stack
+from hueflight.errors import ImageError
+from hueflight.model.spectra import band_weights, reflectance
+from hueflight.reconstruction import expected_shares, find_mixed
+
+ROWS, COLS, RAYS = 48, 64, 8
+PHOTONS, BACKGROUND = 620, 62
+
+
+@pytest.fixture(scope="module")
+def calibrated(draw):
+    """Instrument, calibration and the angle between the pixels of its lens."""
+    instrument = hf.Instrument.load("paper")
+    sensor = msgspec.structs.replace(instrument.sensor, rows=ROWS, cols=COLS)
+    instrument = instrument.replace(sensor=sensor)
+    right, _ = instrument.ray_slopes()
+    flat = instrument.replace(lens=None)  # all rays meet a wall at the same distance
+    one_by_one = np.stack(
+        [
+            draw(flat, photons=600, depth=1, reflectance=led, seed=number)
+            for number, led in enumerate(np.eye(9))
+        ]
+    )
+    reference = draw(flat, photons=3000, depth=1, seed=20)
+    calibration = hf.calibrate(reference, flat, distance=1, bands=one_by_one)
+    return flat, calibration, float(right[0, 1] - right[0, 0])
+
+
+def waveform(instrument, depth, surface=1.0):
+    """Expected counts per bin of a surface, without background."""
+    shares, _, _ = expected_shares(instrument, depth)
+    light = instrument.band_brightness() * (band_weights(instrument) @ reflectance(surface))
+    return PHOTONS * (light / light.sum()) @ shares
+
+
+def drawn(instrument, mean, seed):
+    """Counts (row, col, code) from expected counts (row, col, bin) of the signal."""
+    bins = instrument.time_bins()
+    mean = mean + BACKGROUND * bins.widths_ns / bins.span_ns
+    counts = np.zeros(instrument.histogram_shape, np.uint32)
+    counts[..., bins.codes] = np.random.default_rng(seed).poisson(mean)
+    if instrument.sensor.reports_empty:
+        counts[..., 0] = 1_000_000 - counts.sum(axis=-1)
+    return counts
+
+
+def disc_share(seed):
+    """Share of each pixel's rays that meet a disc whose center is nowhere special."""
+    row, col = np.random.default_rng(seed).uniform(-0.5, 0.5, 2)
+    y = (np.arange(ROWS * RAYS) + 0.5) / RAYS - ROWS / 2 - row
+    x = (np.arange(COLS * RAYS) + 0.5) / RAYS - COLS / 2 - col
+    hit = y[:, None] ** 2 + x**2 < 18**2
+    return hit.reshape(ROWS, RAYS, COLS, RAYS).mean(axis=(1, 3))
+
+
+def disc_image(calibrated, share, step, surfaces, seed):
+    instrument, calibration, angle = calibrated
+    near = waveform(instrument, 1.0, surfaces[0])
+    far = waveform(instrument, 1.0 + step, surfaces[1])
+    mean = share[..., None] * near + (1 - share[..., None]) * far
+    image = hf.reconstruct(drawn(instrument, mean, seed), calibration)
+    return hf.flag_mixed(image, calibration, pixel_angle=angle)
+
+
+def is_mixed(image):
+    return (image["quality"].values & int(hf.Quality.MIXED)) != 0
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "step", "share_error"),
+    [
+        ((1.0, 1.0), 0.2, 0.18),
+        ((1.0, 1.0), 0.4, 0.095),
+        ((1.0, 1.0), 0.8, 0.065),
+        (("ink red", "ink blue"), 0.2, 0.05),
+        (("ink red", "ink blue"), 0.8, 0.045),
+    ],
+)
+def test_disc_in_front_of_a_wall(calibrated, surfaces, step, share_error):
+    phantoms = unflagged = false = mixed_pixels = clean_pixels = 0
+    errors = []
+    for seed in range(4):
+        share = disc_share(seed)
+        image = disc_image(calibrated, share, step, surfaces, seed)
+        flagged = is_mixed(image)
+        depth, std = image["depth"].values, image["depth_std"].values
+        off = np.minimum(np.abs(depth - 1.0), np.abs(depth - 1.0 - step)) > 3 * std
+        mixed = (share > 0) & (share < 1)
+        phantoms += (off & mixed).sum()
+        unflagged += (off & mixed & ~flagged).sum()
+        false += (flagged & ~mixed).sum()
+        mixed_pixels += mixed.sum()
+        clean_pixels += (~mixed).sum()
+        near, far = image["mixed_near_depth"].values, image["mixed_far_depth"].values
+        assert (np.isfinite(near) == flagged).all()
+        assert (np.isfinite(far) == flagged).all()
+        assert np.nanmedian(near) == pytest.approx(1.0, abs=0.02)
+        assert np.nanmedian(far) == pytest.approx(1.0 + step, abs=0.02)
+        found = image["mixed_share"].values
+        errors.append((found - share)[flagged & mixed & np.isfinite(found)])
+    errors = np.concatenate(errors)
+    assert phantoms > 0.05 * mixed_pixels
+    # 510 mixed pixels, of which at most 3 were not flagged: more than 10 are one seed in 3000
+    assert unflagged <= 0.02 * mixed_pixels
+    # 11 778 clean pixels, of which 6 to 16 were flagged: more than 35 are one seed in 60 000
+    assert false <= 0.003 * clean_pixels
+    # 109 to 361 shares; four standard deviations of their scatter: one seed in 30 000
+    assert len(errors) >= 70
+    assert np.sqrt(np.mean(errors**2)) < share_error
+
+
+@pytest.mark.parametrize("degrees", [0, 60, 75])
+def test_a_tilted_plane_has_no_edge(calibrated, degrees):
+    instrument, calibration, angle = calibrated
+    across = ((np.arange(COLS * RAYS) + 0.5) / RAYS - COLS / 2) * angle
+    depths = 1 / (1 - np.tan(np.radians(degrees)) * across)
+    rays = np.array([waveform(instrument, depth) for depth in depths])
+    line = rays.reshape(COLS, RAYS, -1).mean(axis=1)
+    counts = drawn(instrument, np.broadcast_to(line, (ROWS, *line.shape)), seed=degrees)
+    image = hf.flag_mixed(hf.reconstruct(counts, calibration), calibration, pixel_angle=angle)
+    # none of 9216 pixels was flagged; 3 of 3072 are allowed
+    assert is_mixed(image).mean() <= 0.001
+
+
+def test_flagging_twice_changes_nothing_and_leaves_the_rest(calibrated):
+    instrument, calibration, angle = calibrated
+    share = disc_share(9)
+    first = disc_image(calibrated, share, 0.8, (1.0, 1.0), 9)
+    again = hf.flag_mixed(first, calibration, pixel_angle=angle)
+    assert first.identical(again)
+    assert "mixed" in first["quality"].attrs["flag_meanings"].split()
+    assert not (reliable(first).values & is_mixed(first)).any()
+    three = first.isel(band=[0, 3, 5])
+    chosen = hf.flag_mixed(three, calibration, pixel_angle=angle)
+    assert (is_mixed(chosen) == is_mixed(first)).all()
+    wall = np.tile(waveform(instrument, 1.0), (ROWS, COLS, 1))
+    plain = hf.reconstruct(drawn(instrument, wall, 1), calibration)
+    flagged = hf.flag_mixed(plain, calibration, pixel_angle=angle)
+    for name in plain.data_vars:
+        assert plain[name].equals(flagged[name])
+
+
+def test_pixels_without_a_depth_are_no_neighbors():
+    depth = np.full((9, 9), 1.0)
+    depth[:, 5:] = 2.0
+    depth[:, 4] = 1.5
+    std = np.full((9, 9), 0.02)
+    assert np.nonzero(find_mixed(depth, std, 0.002).mixed.all(axis=0))[0].tolist() == [4]
+    depth[:, 5:] = np.nan
+    found = find_mixed(depth, std, 0.002)
+    assert not found.mixed.any()
+    assert np.isnan(found.near).all()
+
+
+def test_a_steeper_lens_needs_a_larger_step():
+    depth = np.full((9, 9), 1.0)
+    depth[:, 5:] = 1.2
+    depth[:, 4] = 1.1
+    std = np.full((9, 9), 0.002)
+    assert find_mixed(depth, std, 0.002).mixed.any()
+    assert not find_mixed(depth, std, 0.01).mixed.any()
+
+
+def test_what_can_not_be_judged_is_refused(calibrated):
+    _, calibration, angle = calibrated
+    image = disc_image(calibrated, disc_share(3), 0.4, (1.0, 1.0), 3)
+    with pytest.raises(ImageError, match="has no lens"):
+        hf.flag_mixed(image, calibration)
+    for bad in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ImageError, match="pixel_angle = "):
+            hf.flag_mixed(image, calibration, pixel_angle=bad)
+    with pytest.raises(ImageError, match="no depth_std"):
+        hf.flag_mixed(image.drop_vars("depth_std"), calibration, pixel_angle=angle)
+    with pytest.raises(ImageError, match="series of 2 images"):
+        hf.flag_mixed(stack([image, image]), calibration, pixel_angle=angle)
+    pooled = image.assign(resolution=image["depth"])
+    with pytest.raises(ImageError, match="share their photons"):
+        hf.flag_mixed(pooled, calibration, pixel_angle=angle)

@@ -21,6 +21,7 @@ UNRELIABLE = (
     | Quality.HOT
     | Quality.SATURATED
     | Quality.AMBIGUOUS
+    | Quality.MISFIT
     | Quality.SKIPPED
     | Quality.MIXED
 )
@@ -37,7 +38,7 @@ def reliable(image: xr.Dataset, /) -> xr.DataArray:
     Returns
     -------
     DataArray of bool, dims (..., row, col)
-        False where a pixel is dead, hot, saturated, ambiguous, skipped or mixed.
+        False where a pixel is dead, hot, saturated, ambiguous, a misfit, skipped or mixed.
     """
     return (image["quality"] & int(UNRELIABLE)) == 0
 

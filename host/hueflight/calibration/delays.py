@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hueflight.calibration.defects import find_hot
 from hueflight.calibration.empirical_bayes import shrink_to_line_means
 from hueflight.fit.correlation import correlate, peak_centroid
+from hueflight.fit.reference import FitOptions
 from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import ScheduleView, make_tables
 from hueflight.model.instrument import Instrument
@@ -134,7 +135,7 @@ def refined_delays(
         search_ns=(-shortest_ns, shortest_ns),
         offsets_ns=(float(delay_ns[usable].min()), float(delay_ns[usable].max())),
     )
-    found = fit_pixels(light[usable], delay_ns[usable], plan)
+    found = fit_pixels(light[usable], delay_ns[usable], plan, FitOptions(assessment=False))
     delays, variance = np.zeros_like(delay_ns), np.ones_like(delay_ns)
     delays[usable] = delay_ns[usable] + found.delay_ns
     variance[usable] = found.delay_std_ns**2

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.backend.fit import FIT_RULES, TABLE_SIZES
-from hueflight.fit import detection, reference
+from hueflight.fit import assessment, detection, reference
 from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables, SearchTables
 
 
@@ -187,6 +187,7 @@ def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void
     ndarray of void, shape (1,)
         A `FitRules` record.
     """
+    logs = assessment.deviance_table()[0]
     return FIT_RULES.pack(
         background_shares=BACKGROUND_SHARES,
         background_logs=np.log(BACKGROUND_SHARES),
@@ -208,6 +209,16 @@ def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void
         node_spacing=reference.NODE_SPACING,
         certain_photons=detection.CERTAIN_PHOTONS,
         detection_share=detection.BACKGROUND_SHARE,
+        assessed=options.assessment,
+        asked=assessment.ASKED,
+        least_background=assessment.LEAST_BACKGROUND,
+        distinct=assessment.DISTINCT,
+        least_mean=assessment.LEAST_MEAN,
+        reach=assessment.REACH,
+        contrasts=len(tables.contrasts),
+        first_log=logs[0],
+        log_step=logs[1] - logs[0],
+        points=logs.size,
         spread_ns=tables.spread_ns,
         low_ns=tables.search_ns[0],
         high_ns=tables.search_ns[1],

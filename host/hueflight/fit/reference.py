@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.backend.fit import LEAST_AMPLITUDE, LEAST_SHARE
-from hueflight.fit import detection
+from hueflight.fit import assessment, detection
 from hueflight.fit.tables import (
     BACKGROUND_SHARES,
     DelayTables,
@@ -67,12 +67,15 @@ class FitOptions:
         parabola.
     target_ns : float
         End scoring after the wide bins where the deviation is below this already.
+    assessment : bool
+        Test whether one surface explains the counts; otherwise those results are NaN.
     """
 
     wide_first: bool = False
     settle: bool = True
     posterior: bool = True
     target_ns: float = 0.0
+    assessment: bool = True
 
     @property
     def starts_wide(self) -> bool:
@@ -100,6 +103,10 @@ class Fit:
     detection : ndarray of float, shape (pixel,)
         Twice the log-likelihood ratio against background alone; NaN for a delay that is known too
         well to come from background.
+    chi_square : ndarray of float, shape (pixel,)
+        Pearson's χ² per degree of freedom; NaN where it was not computed or means nothing.
+    misfit : ndarray of float, shape (pixel,)
+        Greatest standard normal score of the tests in `assessment`; NaN likewise.
     steps : ndarray of uint8, shape (pixel,)
         Steps of scoring at the fine bins.
     """
@@ -111,6 +118,8 @@ class Fit:
     amplitude_std: NDArray[np.float64]
     background: NDArray[np.float64]
     detection: NDArray[np.float64]
+    chi_square: NDArray[np.float64]
+    misfit: NDArray[np.float64]
     steps: NDArray[np.uint8]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -165,7 +174,7 @@ def no_fit(pixels: int, bands: int) -> Fit:
     Fit
         The empty fit.
     """
-    delay, deviation, other, background, ratio = np.zeros((5, pixels))
+    delay, deviation, other, background, ratio, chi_square, misfit = np.zeros((7, pixels))
     amplitudes, amplitude_std = np.zeros((2, pixels, bands))
     return Fit(
         delay_ns=delay,
@@ -175,6 +184,8 @@ def no_fit(pixels: int, bands: int) -> Fit:
         amplitude_std=amplitude_std,
         background=background,
         detection=ratio,
+        chi_square=chi_square,
+        misfit=misfit,
         steps=np.zeros(pixels, np.uint8),
     )
 
@@ -269,6 +280,11 @@ def fit(
         state.background[tested],
         tables,
     )
+    chi_square, misfit = np.full((2, len(counts)), np.nan)
+    if options.assessment:
+        chi_square, misfit = assessment.assess(
+            tables.search.summed(counts), delay, state.amplitudes, state.background, tables
+        )
     return Fit(
         delay_ns=delay - offsets_ns,
         delay_std_ns=np.sqrt(variance),
@@ -277,6 +293,8 @@ def fit(
         amplitude_std=np.sqrt(amplitude_variance),
         background=state.background,
         detection=ratio,
+        chi_square=chi_square,
+        misfit=misfit,
         steps=steps,
     )
 

@@ -22,7 +22,7 @@ from hueflight.backend.fit import (
     SUMS,
 )
 from hueflight.errors import HueflightError, KernelError
-from hueflight.fit import change_detection
+from hueflight.fit import assessment, change_detection
 from hueflight.fit import reference as definition
 from hueflight.fit.packing import PackedDelays, PackedSearch, PackedTables, pack, rules, sizes
 from hueflight.fit.reference import DEFAULT, Fit, FitOptions, no_fit
@@ -154,7 +154,23 @@ def fit_pixels(
     else:
         for tile in tiles:
             fit_tile(tile)
+    if per_period is not None:
+        leave_unassessed(found, per_period)
     return found
+
+
+def leave_unassessed(found: Fit, per_period: NDArray[np.float64]) -> None:
+    """Remove the test results of pixels whose corrected counts scatter more than Poisson counts.
+
+    Parameters
+    ----------
+    found : Fit
+        Fit, which is changed.
+    per_period : ndarray of float, shape (pixel,)
+        Photons per period.
+    """
+    corrected = per_period > assessment.LARGEST_LOSS
+    found.chi_square[corrected] = found.misfit[corrected] = np.nan
 
 
 def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
@@ -334,6 +350,7 @@ def _fit_compiled(
             **_table_buffers(tables, packed, options),
             offsets=offsets_ns.astype(np.float32),
             rates=rates.astype(np.float32),
+            **_assessment_buffers(tables),
             **into.arrays(),
         )
     )
@@ -349,6 +366,15 @@ def _table_buffers(
         **_buffers("fine", packed.fine),
         **_buffers("wide", packed.wide),
         **_buffers("search", packed.search),
+    }
+
+
+def _assessment_buffers(tables: ModelTables) -> dict[str, NDArray[Any]]:
+    _, means, variances = assessment.deviance_table()
+    return {
+        "contrasts": np.ascontiguousarray(tables.contrasts, np.float32),
+        "curvatures": assessment.curvature_ratios(tables.wide).astype(np.float32),
+        "moments": np.stack([means, variances], axis=1).astype(np.float32),
     }
 
 

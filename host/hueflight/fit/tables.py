@@ -183,6 +183,8 @@ class ModelTables:
         Schedules that the tables are for.
     resolved : bool
         Whether the bins resolve the shortest pulse.
+    contrasts : ndarray of float, shape (contrast, band)
+        Along which delays are tested for differences; see `assessment.wavelength_contrasts`.
     """
 
     search: SearchTables
@@ -194,6 +196,7 @@ class ModelTables:
     spread_ns: float
     views: tuple[ScheduleView, ...]
     resolved: bool
+    contrasts: NDArray[np.float64]
 
     @property
     def bands(self) -> int:
@@ -229,6 +232,7 @@ def make_tables(
     brightness: NDArray[np.floating],
     search_ns: tuple[float, float],
     offsets_ns: tuple[float, float] = (0.0, 0.0),
+    contrasts: NDArray[np.float64] | None = None,
 ) -> ModelTables:
     """Compute the tables for one schedule, or for several that alternate.
 
@@ -244,6 +248,8 @@ def make_tables(
         Least and greatest delay against the reference.
     offsets_ns : tuple of float
         Least and greatest delay that belongs to a pixel itself.
+    contrasts : ndarray of float, shape (contrast, band), optional
+        At most two contrasts along which delays are tested for differences; by default none.
 
     Returns
     -------
@@ -274,6 +280,7 @@ def make_tables(
         spread_ns=_spread(fine_level, white),
         views=tuple(views),
         resolved=all(is_resolved(shortest_fwhm_ns, view.bins) for view in views),
+        contrasts=np.empty((0, white.size)) if contrasts is None else contrasts,
     )
 
 

@@ -33,6 +33,11 @@ class Estimates:
     white_photons : ndarray of float, shape (row, col), or None
         Photons that a reflectance of 1 in all bands would have given. None from a method whose
         amplitudes are not in photons.
+    fit_chi_square : ndarray of float, shape (row, col), or None
+        Pearson's χ² of the fit per degree of freedom, 1 on average; NaN without a depth and where
+        counts do not scatter as Poisson counts. None from a method that does not test its fit.
+    fit_p_value : ndarray of float, shape (row, col), or None
+        Probability that a pixel with one surface fits as badly as this one; NaN and None likewise.
     """
 
     depth: NDArray[np.float64]
@@ -45,3 +50,5 @@ class Estimates:
     other_depth: NDArray[np.float64] | None = None
     resolution: NDArray[np.float64] | None = None
     white_photons: NDArray[np.float64] | None = None
+    fit_chi_square: NDArray[np.float64] | None = None
+    fit_p_value: NDArray[np.float64] | None = None

@@ -22,6 +22,8 @@ UNITS = {
     "background": "count / code",
     "photons": "count",
     "resolution": "pixel",
+    "fit_chi_square": "1",
+    "fit_p_value": "1",
 }
 LONG_NAMES = {
     "depth": "distance from the camera along the optical axis",
@@ -32,6 +34,8 @@ LONG_NAMES = {
     "background": "counts per code that the pulses do not explain",
     "photons": "photons in the pixel's histogram",
     "resolution": "width of the square of as many pixels as the estimate rests on",
+    "fit_chi_square": "Pearson's chi-square of the fit per degree of freedom",
+    "fit_p_value": "probability that a pixel with one surface fits as badly",
 }
 
 

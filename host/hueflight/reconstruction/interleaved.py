@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import CalibrationError, HistogramError
+from hueflight.fit.assessment import wavelength_contrasts
 from hueflight.fit.reference import DEFAULT, FitOptions
-from hueflight.fit.solver import fit_pixels
+from hueflight.fit.solver import fit_pixels, leave_unassessed
 from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
 from hueflight.model.histograms import check_histogram, counters_full, frames_per_pixel
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
@@ -111,8 +112,17 @@ def reconstruct_interleaved(
         _seen(light[chosen], exposure, chosen, calibration, pileup_correction)
         for light, exposure, calibration in zip(lights, exposures, calibrations, strict=True)
     ]
+    assessed = switches.assessment
     side_by_side = np.concatenate(seen, axis=-1)
+    if not tables.resolved:
+        switches = replace(switches, assessment=False)  # smoothed counts are no Poisson counts
     found = fit_pixels(side_by_side, common.pixel_delay_ns[chosen], tables, switches)
+    if pileup_correction:
+        for light, exposure in zip(lights, exposures, strict=True):
+            hits = light.sum(axis=-1, dtype=np.float64)
+            rates = photons_per_period(hits, exposure, common.instrument)
+            if rates is not None:
+                leave_unassessed(found, rates[chosen])
     estimates = in_metres(
         found,
         chosen,
@@ -122,6 +132,7 @@ def reconstruct_interleaved(
         search_ns=search_ns,
         range_correction=range_correction,
         pileup_correction=pileup_correction,
+        assessed=assessed,
     )
     for count in counts:
         estimates.quality[counters_full(count)] |= int(Quality.SATURATED)
@@ -226,6 +237,7 @@ def _tables_for(
             brightness=common.brightness,
             search_ns=search_ns,
             offsets_ns=(float(offsets_ns.min()), float(offsets_ns.max())),
+            contrasts=wavelength_contrasts(first.instrument.wavelengths_nm),
         )
         kept[key] = common, tables
     return kept[key]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
+from hueflight.fit.assessment import MISFIT, p_value, wavelength_contrasts
 from hueflight.fit.reference import Fit
 from hueflight.fit.solver import fit_pixels, photon_sums
 from hueflight.fit.tables import (
@@ -61,6 +63,7 @@ def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, flo
             brightness=calibration.brightness,
             search_ns=search_ns,
             offsets_ns=(float(delays_ns.min()), float(delays_ns.max())),
+            contrasts=wavelength_contrasts(instrument.wavelengths_nm),
         )
     return kept[search_ns]
 
@@ -187,6 +190,7 @@ def estimate(
         search_ns=search_ns,
         range_correction=range_correction,
         pileup_correction=pileup_correction,
+        assessed=skips.of_fit(calibration).assessment,
     )
 
 
@@ -240,6 +244,8 @@ def fit_chosen(
     seen = smooth_undersampled(
         coates_correction(light[pixels], rates), instrument, calibration.bins
     )
+    # smoothed counts do not scatter as Poisson counts
+    switches = replace(switches, assessment=False)
     return fit_pixels(seen, delays_ns, tables, switches, threads=threads)
 
 
@@ -253,6 +259,7 @@ def in_metres(
     search_ns: tuple[float, float],
     range_correction: bool,
     pileup_correction: bool,
+    assessed: bool,
 ) -> Estimates:
     """Convert fitted pixels to estimates: depth, reflectance and flags.
 
@@ -274,6 +281,8 @@ def in_metres(
         Multiply reflectance by (distance / reference distance)².
     pileup_correction : bool
         Undo the loss of photons after the first one of an exposure.
+    assessed : bool
+        It was tested whether one surface explains the counts.
 
     Returns
     -------
@@ -314,6 +323,7 @@ def in_metres(
         Quality.NO_RETURN: no_return,
         Quality.OUT_OF_RANGE: outside & ~no_return,
         Quality.AMBIGUOUS: np.isfinite(found.other_ns) & ~unknown,
+        Quality.MISFIT: (found.misfit > MISFIT) & ~unknown,
     }
     quality = _quality(calibration, chosen, flags)
     scale = calibration.photon_scale(photons, frames, pileup_correction=pileup_correction)
@@ -337,6 +347,8 @@ def in_metres(
         photons=photons,
         quality=quality,
         white_photons=calibration.brightness.sum() / scale,
+        fit_chi_square=plane(found.chi_square) if assessed else None,
+        fit_p_value=plane(p_value(found.misfit)) if assessed else None,
     )
 
 

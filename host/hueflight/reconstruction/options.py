@@ -33,6 +33,9 @@ class Skips:
         Standard deviation of depth, m. Pixels whose depth is known this well after the wide bins
         of the search keep that result, which is within 0.3 standard deviations of the full one.
         0 for none.
+    assessment : bool
+        Test whether one surface explains the counts. Without it, an image has no `fit_chi_square`
+        and no `fit_p_value`, and no pixel is flagged as a misfit; all else stays the same.
     switches : FitOptions
         Steps of the fit.
 
@@ -45,6 +48,7 @@ class Skips:
     empty: bool = True
     defects: bool = True
     depth_target: float = 0.0
+    assessment: bool = True
     switches: FitOptions = DEFAULT
 
     def __post_init__(self) -> None:
@@ -66,11 +70,14 @@ class Skips:
         FitOptions
             Options of the fit.
         """
+        switches = self.switches
+        if not self.assessment:
+            switches = replace(switches, assessment=False)
         if not self.depth_target:
-            return self.switches
+            return switches
         steepest = float(calibration.instrument.ray_cosine().max())
         target_ns = 2 * self.depth_target / (SPEED_OF_LIGHT_M_PER_NS * steepest)
-        return replace(self.switches, target_ns=target_ns)
+        return replace(switches, target_ns=target_ns)
 
 
 NO_SKIPS = Skips(
@@ -171,9 +178,10 @@ def leave_out(estimates: Estimates, pixels: NDArray[np.bool_]) -> None:
         values[pixels] = np.nan
     for values in (estimates.reflectance, estimates.reflectance_std):
         values[:, pixels] = np.nan
-    if estimates.other_depth is not None:
-        estimates.other_depth[pixels] = np.nan
-    estimates.quality[pixels] &= ~np.uint16(Quality.LOW_SIGNAL | Quality.AMBIGUOUS)
+    for values in (estimates.other_depth, estimates.fit_chi_square, estimates.fit_p_value):
+        if values is not None:
+            values[pixels] = np.nan
+    estimates.quality[pixels] &= ~np.uint16(Quality.LOW_SIGNAL | Quality.AMBIGUOUS | Quality.MISFIT)
     estimates.quality[pixels] |= int(Quality.SKIPPED)
 
 

@@ -28,6 +28,9 @@ class Quality(IntFlag):
         Background alone explains the counts: no surface was detected.
     OUT_OF_RANGE : int
         The best delay lies at the end of the searched range, or behind the camera.
+    MISFIT : int
+        One surface with the calibrated pulses does not explain the counts: for example two
+        surfaces in the pixel, whose reported depth may lie between them.
     MIXED : int
         The depth lies between two surfaces beside the pixel; set by `flag_mixed`.
     """
@@ -40,6 +43,7 @@ class Quality(IntFlag):
     SKIPPED = 32
     NO_RETURN = 64
     OUT_OF_RANGE = 128
+    MISFIT = 256
     MIXED = 512
     STARVED = LOW_SIGNAL
 

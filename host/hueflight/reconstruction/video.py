@@ -166,6 +166,7 @@ class Video:
             exposures,
             calibration,
             search_ns=self._search_ns,
+            assessed=self._skips.of_fit(calibration).assessment,
             **self._corrections,
         )
         if self._change_sigma == 0:

@@ -4,7 +4,7 @@
 #define HUEFLIGHT_FIT_ABI_H
 #include <stdint.h>
 
-#define ABI "00b32e0baca66e55" /* hash of what follows */
+#define ABI "d1afedfb6baf8983" /* hash of what follows */
 
 enum { MOST_BANDS = 30 }; /* bands that there is room for */
 enum { MOST_NODES = 32 }; /* delays of the posterior that there is room for */
@@ -62,6 +62,16 @@ typedef struct {
     float node_spacing; /* between nodes, standard deviations */
     float certain_photons; /* from which detection is not tested */
     float detection_share; /* least share of background in that test */
+    int32_t assessed; /* test whether one surface explains the counts */
+    float asked; /* score of the screen from which the full test is made */
+    float least_background; /* in the weights of these tests, photons */
+    float distinct; /* share of a contrast's variance that the other must leave */
+    float least_mean; /* expected counts of a group in the deviance */
+    int32_t reach; /* tabulated delays to either side in the second derivative */
+    int32_t contrasts; /* over wavelength: 0, 1 or 2 */
+    float first_log; /* of expected counts in the table of moments */
+    float log_step; /* between its points */
+    int32_t points; /* of the table of moments */
     float spread_ns; /* deviation of the delay of one photon */
     float low_ns; /* least delay */
     float high_ns; /* greatest delay */
@@ -70,7 +80,7 @@ typedef struct {
     int32_t settle; /* end when a delay has settled */
     int32_t posterior; /* evaluate the posterior of the fewest photons */
 } FitRules;
-_Static_assert(sizeof(FitRules) == 124, "FitRules is laid out as NumPy lays it out");
+_Static_assert(sizeof(FitRules) == 164, "FitRules is laid out as NumPy lays it out");
 
 /* What all pixels of a correlation share; lags in bins. */
 typedef struct {
@@ -114,16 +124,21 @@ enum {
     FIT_SEARCH_SHARES = 25, /* float32: (lag, band) share of a band in its zone */
     FIT_OFFSETS = 26, /* float32: (pixel,) delay of each pixel that is fitted */
     FIT_RATES = 27, /* float32: (pixel,) photons per period, or nothing */
-    FIT_DELAY_NS = 28, /* float64: (pixel,) */
-    FIT_DELAY_STD_NS = 29, /* float64: (pixel,) */
-    FIT_OTHER_NS = 30, /* float64: (pixel,) second delay or NaN */
-    FIT_AMPLITUDES = 31, /* float64: (pixel, band) */
-    FIT_AMPLITUDE_STD = 32, /* float64: (pixel, band) */
-    FIT_BACKGROUND = 33, /* float64: (pixel,) */
-    FIT_DETECTION = 34, /* float64: (pixel,) twice a log-likelihood ratio, or NaN */
-    FIT_STEPS = 35, /* uint8: (pixel,) */
-    FIT_READS = 28,
-    FIT_BUFFERS = 36
+    FIT_CONTRASTS = 28, /* float32: (contrast, band) along which delays are tested */
+    FIT_CURVATURES = 29, /* float32: (band,) information about width per that about delay */
+    FIT_MOMENTS = 30, /* float32: (point, 2) mean and variance of a count's deviance */
+    FIT_DELAY_NS = 31, /* float64: (pixel,) */
+    FIT_DELAY_STD_NS = 32, /* float64: (pixel,) */
+    FIT_OTHER_NS = 33, /* float64: (pixel,) second delay or NaN */
+    FIT_AMPLITUDES = 34, /* float64: (pixel, band) */
+    FIT_AMPLITUDE_STD = 35, /* float64: (pixel, band) */
+    FIT_BACKGROUND = 36, /* float64: (pixel,) */
+    FIT_DETECTION = 37, /* float64: (pixel,) twice a log-likelihood ratio, or NaN */
+    FIT_CHI_SQUARE = 38, /* float64: (pixel,) per degree of freedom, or NaN */
+    FIT_MISFIT = 39, /* float64: (pixel,) greatest score, or NaN */
+    FIT_STEPS = 40, /* uint8: (pixel,) */
+    FIT_READS = 31,
+    FIT_BUFFERS = 41
 };
 
 /* change_reference: what later counts are compared with, see hueflight/fit/change_detection.py */

@@ -1,6 +1,7 @@
 /* The joint fit of a tile of pixels: counts at all bin widths, search, scoring, likelihood. */
 typedef struct {
     double *delay, *deviation, *other, *amplitudes, *amplitude_std, *background, *detection;
+    double *chi_square, *misfit;
     uint8_t *steps;
 } Results;
 
@@ -88,10 +89,10 @@ INLINE float prepare(const ModelTables *tables, const Light *light, size_t pixel
 
 INLINE void fit_tile(const ModelTables *tables, const Light *light, const int64_t *which,
                      const float *offsets, const float *rates, size_t first, int count,
-                     const Results *results, const Scratch *scratch)
+                     const AssessmentTables *tests, const Results *results, const Scratch *scratch)
 {
     const FitRules *rules = &tables->rules;
-    float totals[TILE + BATCH], local[TILE + BATCH], others[TILE];
+    float totals[TILE + BATCH], local[TILE + BATCH], others[TILE], arrivals[TILE];
     Candidate *candidates[CANDIDATES];
     int alternatives[TILE], made = count;
     for (int p = 0; p < count; p++) {
@@ -158,16 +159,20 @@ INLINE void fit_tile(const ModelTables *tables, const Light *light, const int64_
             results->amplitudes[place] = (double)candidate->amplitudes[k];
             results->amplitude_std[place] = (double)sqrtf(candidate->spread[k] + 0.5f);
         }
+        arrivals[p] = delay;
     }
+    assess(tables, tests, scratch->wide, scratch->wide_stride, arrivals, scratch->candidates, count,
+           scratch->work, scratch->equations, results->chi_square + first, results->misfit + first);
 }
 
 static void fit_pixels(const ModelTables *tables, const Light *light, const int64_t *which,
                        size_t pixels, const float *offsets, const float *rates,
-                       const Results *results, const Scratch *scratch)
+                       const AssessmentTables *tests, const Results *results,
+                       const Scratch *scratch)
 {
     for (size_t first = 0; first < pixels; first += TILE) {
         size_t left = pixels - first;
         fit_tile(tables, light, which, offsets, rates, first, left < TILE ? (int)left : TILE,
-                 results, scratch);
+                 tests, results, scratch);
     }
 }

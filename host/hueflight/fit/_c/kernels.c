@@ -16,6 +16,7 @@
 #include "search.h"
 #include "likelihood.h"
 #include "detection.h"
+#include "assessment.h"
 #include "counts.h"
 #include "fit.h"
 #include "change_detection.h"
@@ -46,7 +47,7 @@ static char *make_scratch(const ModelTables *tables, Scratch *scratch)
     scratch->lags = vectors(tables->search.lags);
     scratch->fine_stride = (size_t)tables->fine.blocks * LANES + 16; /* not a power of two */
     scratch->wide_stride = (size_t)tables->wide.blocks * LANES + 16;
-    size_t work = 5 * sizeof(vec) * (size_t)tables->fine.blocks;
+    size_t work = 6 * sizeof(vec) * (size_t)tables->fine.blocks;
     size_t bytes = 64 * 16
                  + TILE * 4 * (scratch->fine_stride + scratch->wide_stride)
                  + 8 * vectors(tables->bins) + BATCH * 5 * scratch->lags + work
@@ -214,28 +215,36 @@ static int run_fit(Call *call)
     const Py_buffer *held = call->held;
     ModelTables tables;
     int fits = read_tables(call, &tables);
-    size_t each = 8 * (size_t)tables.bands;
+    size_t each = 8 * (size_t)tables.bands, contrasts = (size_t)tables.rules.contrasts;
     if (!fits || (held[FIT_RATES].len && !holds(call, FIT_RATES, 4))
         || !holds(call, FIT_OFFSETS, 4) || !holds(call, FIT_DELAY_NS, 8)
         || !holds(call, FIT_DELAY_STD_NS, 8) || !holds(call, FIT_OTHER_NS, 8)
         || !holds(call, FIT_AMPLITUDES, each) || !holds(call, FIT_AMPLITUDE_STD, each)
         || !holds(call, FIT_BACKGROUND, 8) || !holds(call, FIT_DETECTION, 8)
-        || !holds(call, FIT_STEPS, 1))
+        || !holds(call, FIT_CHI_SQUARE, 8) || !holds(call, FIT_MISFIT, 8)
+        || (size_t)held[FIT_CONTRASTS].len != 4 * contrasts * (size_t)tables.bands
+        || (size_t)held[FIT_CURVATURES].len != 4 * (size_t)tables.bands
+        || tables.rules.points < 2 || held[FIT_MOMENTS].len != 8 * tables.rules.points
+        || contrasts > 2 || !holds(call, FIT_STEPS, 1))
         return refuse("fit: buffers do not fit one another");
     Results results = {
         .delay = held[FIT_DELAY_NS].buf, .deviation = held[FIT_DELAY_STD_NS].buf,
         .other = held[FIT_OTHER_NS].buf, .amplitudes = held[FIT_AMPLITUDES].buf,
         .amplitude_std = held[FIT_AMPLITUDE_STD].buf, .background = held[FIT_BACKGROUND].buf,
         .detection = held[FIT_DETECTION].buf,
+        .chi_square = held[FIT_CHI_SQUARE].buf, .misfit = held[FIT_MISFIT].buf,
         .steps = held[FIT_STEPS].buf,
     };
+    AssessmentTables tests = {held[FIT_CONTRASTS].buf, held[FIT_CURVATURES].buf,
+                              held[FIT_MOMENTS].buf};
     Scratch scratch;
     call->block = make_scratch(&tables, &scratch);
     if (!allocated(call))
         return 0;
     Py_BEGIN_ALLOW_THREADS
     fit_pixels(&tables, &call->light, call->which, call->pixels, held[FIT_OFFSETS].buf,
-               held[FIT_RATES].len ? held[FIT_RATES].buf : NULL, &results, &scratch);
+               held[FIT_RATES].len ? held[FIT_RATES].buf : NULL, &tests, &results,
+               &scratch);
     Py_END_ALLOW_THREADS
     return 1;
 }

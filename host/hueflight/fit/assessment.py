@@ -206,7 +206,7 @@ def _screen(pixels: _Pixels, contrasts: _Floats, ratios: _Floats) -> tuple[_Floa
 def _full(pixels: _Pixels, contrasts: _Floats) -> _Floats:
     """Greatest score of the full tests."""
     a, weight, residual = pixels.amplitudes, pixels.weight, pixels.residual
-    linear = np.vstack([pixels.shares, pixels.level.widths])
+    linear = np.vstack([pixels.shares, pixels.level.widths]).astype(np.float64)
     # nuisances: photons of each band, background, common delay
     nuisance = np.concatenate(
         [np.broadcast_to(linear, (len(a), *linear.shape)), (a @ pixels.slopes)[:, None]], axis=1
@@ -289,7 +289,7 @@ def deviance_table() -> tuple[_Floats, _Floats, _Floats]:
     tuple of ndarray
         Natural logarithms of the expected counts, means, variances.
     """
-    logs = np.linspace(*np.log(DEVIANCE_LIMITS), DEVIANCE_POINTS)
+    logs = np.linspace(np.log(DEVIANCE_LIMITS[0]), np.log(DEVIANCE_LIMITS[1]), DEVIANCE_POINTS)
     means, variances = np.empty((2, logs.size))
     for i, mu in enumerate(np.exp(logs)):
         k = np.arange(int(mu + 12 * np.sqrt(mu) + 25))

@@ -81,7 +81,10 @@ def test_colorchecker_through_the_fit(chart, leds, small, draw, photons_on_white
         image["reflectance_std"] = image["reflectance_std"] * level
         image = image.assign_coords(white_photons=image["white_photons"] / level)
         xyz = in_color(image, instrument=instrument, emission=leds)
-        errors.append(delta_e_2000(colours(xyz.values), true[patch]).mean())
+        # of the black patch, with 20 photons, some pixels show no surface and have no colour
+        seen = np.isfinite(image["depth"].values)
+        assert seen.mean() > 0.2
+        errors.append(delta_e_2000(colours(xyz.values[seen]), true[patch]).mean())
     # 320 pixels a patch: the mean over patches is good to 0.05 at 620 photons, 0.02 at 10 000
     assert np.mean(errors) < most
 

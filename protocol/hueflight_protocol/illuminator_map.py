@@ -123,7 +123,10 @@ def illuminator_map(
     )
 
 
-_FEATURES = (Field("temperature", 1, "the temperature is measured"),)
+_FEATURES = (
+    Field("temperature", 1, "the temperature is measured"),
+    Field("clock_supervision", 1, "failures of the clock are detected and counted"),
+)
 
 _STATE = (
     Field("armed", 1, "LEDs may fire"),
@@ -143,6 +146,7 @@ _FAULTS = (
     Field("duty_limit", 1, "a pulse was held back by the duty limit"),
     Field("trigger_ignored", 1, "a trigger came while a train was running"),
     Field("saturated", 1, "a counter stands at its largest value"),
+    Field("clock_failed", 1, "the clock failed, which disarmed the board"),
 )
 
 
@@ -185,6 +189,13 @@ def _safety(channels: int) -> list[Register]:
             Access.W1C,
             value(channels, "bit k: channel k"),
             "channels held back by the duty limit",
+        ),
+        Register(
+            "clock_failures",
+            0x01E,
+            Access.RO,
+            value(16, "number"),
+            "failures of the clock (the PLL lost lock) since configuration, saturating",
         ),
         Register(
             "limit",

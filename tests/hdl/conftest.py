@@ -11,7 +11,7 @@ def need_tools(*tools: str) -> None:
     """Skip where a tool is absent."""
     missing = [tool for tool in tools if find_tool(tool) is None]
     if missing:
-        pytest.skip(f"{' and '.join(missing)} not found: pip install 'hueflight[bitstream]'")
+        pytest.skip(f"{' and '.join(missing)} not found: see hueflight_hdl.toolchain")
 
 
 @pytest.fixture(scope="session")
@@ -30,3 +30,9 @@ def prover() -> None:
 def builder() -> None:
     """Bitstreams can be built."""
     need_tools("yosys", "nextpnr-ice40", "icepack", "nextpnr-ecp5", "ecppack")
+
+
+@pytest.fixture(scope="session")
+def verilator() -> None:
+    """Whole boards can be simulated."""
+    need_tools("yosys", "verilator", "c++")

@@ -16,6 +16,7 @@ from amaranth.hdl import (
     Signal,
     Value,
 )
+from amaranth.lib.cdc import AsyncFFSynchronizer
 
 from .ecp5_pll import PllOutput, ecp5_pll
 
@@ -25,6 +26,8 @@ SYNC_HZ = 50e6
 AIM = 1.15
 """Place and route aims so much higher than needed; it stops trying where it is content."""
 _VCO_HZ = 800e6
+RECOVERY_CLOCKS = 16
+"""Clocks of `sync` after a failure: more than disarming takes to reach the pins."""
 
 
 class Ecp5Clocks(Elaboratable):
@@ -39,11 +42,18 @@ class Ecp5Clocks(Elaboratable):
         From the oscillator.
     clock_hz : float
         25 or 100 MHz.
+
+    Attributes
+    ----------
+    failed : Signal
+        High while the PLL has not locked and for `RECOVERY_CLOCKS` after. It rises without a
+        clock, from a preset of flip-flops, because all clocks stop with the lock.
     """
 
     def __init__(self, clock: Value, clock_hz: float) -> None:
         self.clock = clock
         self.clock_hz = clock_hz
+        self.failed = Signal(init=1)
 
     def add_to(self, m: Module, platform: Platform) -> None:
         """Add the clock domains to a module, and the logic that generates them."""
@@ -76,6 +86,9 @@ class Ecp5Clocks(Elaboratable):
             i_RST=~locked,
             i_ALIGNWD=Const(0),
             o_CDIVX=ClockSignal("pulse"),
+        )
+        m.submodules.failed = AsyncFFSynchronizer(
+            ~locked, self.failed, o_domain="sync", stages=RECOVERY_CLOCKS
         )
         m.submodules.sync = Instance("DCCA", i_CLKI=slow, i_CE=locked, o_CLKO=ClockSignal("sync"))
         return m

@@ -62,8 +62,9 @@ class Ecp5Illuminator(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        Ecp5Clocks(clock.i, platform.default_clk_frequency).add_to(m, platform)
-        illuminator = add_from_platform(m, self.config, Ecp5Gearing(), platform)
+        clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency)
+        clocks.add_to(m, platform)
+        illuminator = add_from_platform(m, self.config, Ecp5Gearing(), platform, clocks.failed)
         lamp = platform.request(*self.armed, dir="-")
         drive(m, "armed", lamp.r if self.armed[0] == "rgb_led" else lamp, illuminator.armed)
         return m

@@ -37,7 +37,13 @@ def hx8k_config() -> IlluminatorConfig:
     pulse = PulseConfig(
         pulses=2, lanes=2, limits=Limits(max_on_ticks=20, duty_divisor=8, burst_ticks=20)
     )
-    return IlluminatorConfig(pulse=pulse, pulse_hz=PULSE_HZ, clock_ratio=2, source=source_hash())
+    return IlluminatorConfig(
+        pulse=pulse,
+        pulse_hz=PULSE_HZ,
+        clock_ratio=2,
+        source=source_hash(),
+        clock_supervision=False,
+    )
 
 
 class _Clocks(Elaboratable):

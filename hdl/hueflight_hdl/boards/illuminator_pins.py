@@ -22,19 +22,54 @@ class GearedPorts:
 
 
 def add_illuminator(
-    m: Module, config: IlluminatorConfig, gearing: Gearing, ports: GearedPorts
+    m: Module,
+    config: IlluminatorConfig,
+    gearing: Gearing,
+    ports: GearedPorts,
+    clock_failed: Value | None = None,
 ) -> Illuminator:
-    """Add an illuminator and its gearing to a module; other pins are left to the caller."""
+    """Add an illuminator and its gearing to a module; other pins are left to the caller.
+
+    Parameters
+    ----------
+    m : Module
+        The module.
+    config : IlluminatorConfig
+        What is built.
+    gearing : Gearing
+        Gearing of the board.
+    ports : GearedPorts
+        Pins behind the gearing.
+    clock_failed : Value, optional
+        See `IlluminatorCore`; the pins of the LEDs are not driven while it is high.
+
+    Returns
+    -------
+    Illuminator
+        The illuminator.
+    """
     m.submodules.illuminator = illuminator = Illuminator(config)
     m.d.comb += illuminator.trigger.eq(gearing.add_input(m, "trigger", ports.trigger))
     for number, port in enumerate(ports.channels):
-        gearing.add_output(m, f"channel{number}", port, Value.cast(illuminator.levels[number]))
+        gearing.add_output(
+            m,
+            f"channel{number}",
+            port,
+            Value.cast(illuminator.levels[number]),
+            enable=None if clock_failed is None else ~clock_failed,
+        )
+    if clock_failed is not None:
+        m.d.comb += illuminator.clock_failed.eq(clock_failed)
     gearing.add_output(m, "trigger_out", ports.trigger_out, illuminator.trigger_out)
     return illuminator
 
 
 def add_from_platform(
-    m: Module, config: IlluminatorConfig, gearing: Gearing, platform: Platform
+    m: Module,
+    config: IlluminatorConfig,
+    gearing: Gearing,
+    platform: Platform,
+    clock_failed: Value | None = None,
 ) -> Illuminator:
     """Add an illuminator and connect the pins that all boards share, except the indicator LED."""
     pulses = platform.request("led_pulse", 0, dir="-")
@@ -43,7 +78,7 @@ def add_from_platform(
         channels=tuple(pulses[channel] for channel in range(config.pulse.channels)),
         trigger_out=platform.request("trigger_out", 0, dir="-"),
     )
-    illuminator = add_illuminator(m, config, gearing, ports)
+    illuminator = add_illuminator(m, config, gearing, ports, clock_failed)
     uart = platform.request("uart", 0, dir="-")
     m.d.comb += [
         illuminator.rx.eq(input_of(m, "rx", uart.rx)),

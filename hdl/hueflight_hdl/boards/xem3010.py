@@ -55,7 +55,12 @@ def xem3010_config(pulse_hz: float) -> IlluminatorConfig:
     """Return the configuration: two ticks a clock; limits of 100 ns at 100 MHz."""
     pulse = PulseConfig(lanes=2, limits=Limits(max_on_ticks=20, duty_divisor=8, burst_ticks=20))
     return IlluminatorConfig(
-        pulse=pulse, pulse_hz=pulse_hz, clock_ratio=2, baud=1e6, source=source_hash()
+        pulse=pulse,
+        pulse_hz=pulse_hz,
+        clock_ratio=2,
+        baud=1e6,
+        source=source_hash(),
+        clock_supervision=False,
     )
 
 

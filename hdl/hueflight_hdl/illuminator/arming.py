@@ -27,6 +27,8 @@ class Arming(wiring.Component):
         Time without a feed after which the board disarms; 0 keeps it disarmed.
     feed : In(1)
         The host feeds the watchdog.
+    disarm : In(1)
+        Disarms the board; has precedence over the key.
     armed : Out(1)
         LEDs may fire.
     left_ms : Out(16)
@@ -44,6 +46,7 @@ class Arming(wiring.Component):
                 "key_written": In(1),
                 "timeout_ms": In(16),
                 "feed": In(1),
+                "disarm": In(1),
                 "armed": Out(1),
                 "left_ms": Out(16),
                 "expired": Out(1),
@@ -56,7 +59,9 @@ class Arming(wiring.Component):
         start = Signal()
         m.d.sync += self.expired.eq(0)
         m.d.comb += start.eq(self.feed & self.armed)
-        with m.If(self.key_written):
+        with m.If(self.disarm):
+            m.d.sync += self.armed.eq(0)
+        with m.Elif(self.key_written):
             m.d.sync += self.armed.eq((self.key == ARM_KEY) & (self.timeout_ms != 0))
             m.d.comb += start.eq(1)
         with m.Elif(self.timeout_ms == 0):

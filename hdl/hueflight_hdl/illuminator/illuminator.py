@@ -12,6 +12,7 @@ from amaranth.lib.wiring import In, Out, connect, flipped
 from hueflight_protocol.illuminator_map import Advance, Retrigger, illuminator_map
 from hueflight_protocol.registers import Register, RegisterMap
 
+from ..common.counter import SaturatingCounter
 from ..common.crossing import SettingsCrossing
 from ..common.version import VERSION
 from ..control.messages import request_stream, response_stream
@@ -46,6 +47,9 @@ class IlluminatorConfig:
         Serial number of the board.
     source : int
         Hash of the sources; see `common.version.source_hash`.
+    clock_supervision : bool
+        Failures of the clock are detected by the board, see `IlluminatorCore`; otherwise
+        ``clock_failed`` is ignored.
     memory_style : str, optional
         ``ram_style`` of the sequencer's memory, for families whose block memory is too slow for
         the domain `pulse`.
@@ -57,6 +61,7 @@ class IlluminatorConfig:
     baud: float = 3e6
     serial: int = 0
     source: int = 0
+    clock_supervision: bool = True
     memory_style: str | None = None
 
     def __post_init__(self) -> None:
@@ -96,6 +101,7 @@ def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
         "marker": Out(8),
         "missed": Out(1),
         "armed": Out(1),
+        "clock_failed": In(1),
     }
 
 
@@ -118,6 +124,10 @@ class IlluminatorCore(wiring.Component):
         A trigger was ignored; for the camera.
     armed : Out(1)
         LEDs may be on; in the domain `pulse`.
+    clock_failed : In(1)
+        The clocks are not valid, or have not been for long. It may rise at any time and falls
+        with a clock of `sync`; after configuration it may begin high. While it is high the board
+        is disarmed; when it falls again later, a failure is counted.
     """
 
     def __init__(self, config: IlluminatorConfig) -> None:
@@ -176,6 +186,9 @@ class IlluminatorCore(wiring.Component):
             **limits,
             "versions": registers["versions"].encode(major=major, minor=minor, patch=patch),
             "serial": self.config.serial,
+            "features": registers["features"].encode(
+                clock_supervision=self.config.clock_supervision
+            ),
             "source": self.config.source,
         }
 
@@ -189,6 +202,23 @@ class IlluminatorCore(wiring.Component):
             safety.timeout_ms.eq(registers.watchdog_ms),
             safety.feed.eq(registers.watchdog_feed.value),
             registers.watchdog_left_ms.value.eq(safety.left_ms),
+        ]
+        if self.config.clock_supervision:
+            self._supervise_clock(m, registers, safety)
+
+    def _supervise_clock(self, m: Module, registers: RegisterFile, safety: Arming) -> None:
+        """Disarm while the clock fails, and count the failures."""
+        # only the falling edge is synchronous; the first one ends the start after configuration
+        before, started = Signal(init=1), Signal()
+        m.d.sync += before.eq(self.clock_failed)
+        with m.If(~self.clock_failed):
+            m.d.sync += started.eq(1)
+        m.submodules.clock_failures = failures = SaturatingCounter(16)
+        m.d.comb += [
+            safety.disarm.eq(self.clock_failed),
+            failures.event.eq(before & ~self.clock_failed & started),
+            registers.faults_set.clock_failed.eq(failures.event),
+            registers.clock_failures.value.eq(failures.value),
         ]
 
     def _settings(

@@ -23,8 +23,8 @@ PROOFS = (
     ),
     Proof(
         "illuminator-watchdog",
-        "The board is armed only if the last word written was the key, and no longer than the "
-        "watchdog time after the last key or feed.",
+        "The board is armed only if the last word written was the key and the clock has not "
+        "failed since, and no longer than the watchdog time after the last key or feed.",
         WatchdogHarness,
         depth=2,
     ),

@@ -40,14 +40,22 @@ class WatchdogHarness(wiring.Component):
     """Arming with any writes, feeds and times."""
 
     def __init__(self) -> None:
-        super().__init__({"key": In(32), "key_written": In(1), "timeout_ms": In(16), "feed": In(1)})
+        super().__init__(
+            {
+                "key": In(32),
+                "key_written": In(1),
+                "timeout_ms": In(16),
+                "feed": In(1),
+                "disarm": In(1),
+            }
+        )
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
         m.submodules.safety = safety = Arming(CLOCKS_PER_MS)
         for name in self.signature.members:
             m.d.comb += getattr(safety, name).eq(getattr(self, name))
-        keyed = Signal()  # the last word written was the key
+        keyed = Signal()  # the key was the last word written, and nothing has disarmed since
         allowed = Signal(16)  # milliseconds, as they were at the last key or feed
         elapsed = Signal(20)  # clocks since
         told = Signal()
@@ -55,7 +63,9 @@ class WatchdogHarness(wiring.Component):
         m.d.sync += elapsed.eq(Mux(told, 0, elapsed + 1))
         with m.If(told):
             m.d.sync += allowed.eq(self.timeout_ms)
-        with m.If(self.key_written):
+        with m.If(self.disarm):
+            m.d.sync += keyed.eq(0)
+        with m.Elif(self.key_written):
             m.d.sync += keyed.eq(self.key == ARM_KEY)
         with m.If(safety.armed):
             m.d.comb += [

@@ -34,7 +34,7 @@ class IlluminatorTestbench:
 
     Attributes
     ----------
-    trigger, frame_sync : Waveform or None
+    trigger, frame_sync, clock_failed : Waveform or None
         What the inputs do; low without one.
     clock : int
         Clocks of `pulse` so far.
@@ -49,6 +49,7 @@ class IlluminatorTestbench:
         self.gearing = gearing
         self.trigger: Waveform | None = None
         self.frame_sync: Waveform | None = None
+        self.clock_failed: Waveform | None = None
         self.clock = 0
         self.recording = False
         self._step_clocks = step_clocks
@@ -96,6 +97,8 @@ class IlluminatorTestbench:
             records["trigger"] = self.trigger(self.clock, clocks)
         if self.frame_sync is not None:
             records["frame_sync"] = self.frame_sync(self.clock, clocks)
+        if self.clock_failed is not None:
+            records["clock_failed"] = self.clock_failed(self.clock, clocks)
         outputs = self._simulation.run(records)
         self.clock += clocks
         if self.recording:

@@ -53,6 +53,7 @@ class SimulatedIlluminator(SimulatedPins):
             "rx": In(1),
             "tx": Out(1, init=1),
             "frame_sync": In(1),
+            "clock_failed": In(1),
             "trigger_out": Out(config.pulse.lanes),
             "marker": Out(8),
         }
@@ -62,7 +63,7 @@ class SimulatedIlluminator(SimulatedPins):
         m = Module()
         levels = [Signal(self.config.pulse.lanes) for _ in range(self.config.pulse.channels)]
         ports = GearedPorts(self.trigger, tuple(levels), self.trigger_out)
-        illuminator = add_illuminator(m, self.config, self.gearing, ports)
+        illuminator = add_illuminator(m, self.config, self.gearing, ports, self.clock_failed)
         m.d.comb += [
             illuminator.rx.eq(self.rx),
             illuminator.frame_sync.eq(self.frame_sync),

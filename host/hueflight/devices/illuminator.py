@@ -402,6 +402,8 @@ class Illuminator:
             duty_limited=self._channels(duty.value),
             trigger_ignored=bool(found.trigger_ignored),
             saturated=bool(found.saturated),
+            clock_failed=bool(found.clock_failed),
+            clock_failures=self.board.read(registers.ClockFailures).value,
         )
 
     def clear(self) -> None:

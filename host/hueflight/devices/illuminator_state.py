@@ -93,6 +93,12 @@ class IlluminatorFaults:
         True if a trigger came while a train was running.
     saturated : bool
         True if a counter stands at its largest value.
+    clock_failed : bool
+        True if the board's clock failed (its PLL lost lock) and the board disarmed itself.
+        Registers and schedules may be damaged: write them again before arming.
+    clock_failures : int
+        Number of failures of the clock since the board was configured; clearing the faults keeps
+        it.
     """
 
     watchdog: bool
@@ -100,3 +106,5 @@ class IlluminatorFaults:
     duty_limited: frozenset[int]
     trigger_ignored: bool
     saturated: bool
+    clock_failed: bool
+    clock_failures: int

@@ -27,6 +27,7 @@ __all__ = [
     "Board",
     "Capacity",
     "Clear",
+    "ClockFailures",
     "ClockHz",
     "DutyLimited",
     "Faults",
@@ -69,7 +70,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Features(RegisterValue):
     """What this build can do.
 
@@ -77,13 +78,17 @@ class Features(RegisterValue):
     ----------
     temperature : int
         The temperature is measured.
+    clock_supervision : int
+        Failures of the clock are detected and counted.
     """
 
     NAME: ClassVar[str] = "features"
     ADDRESS: ClassVar[int] = 0x0007
     TEMPERATURE_MAX: ClassVar[int] = 1
+    CLOCK_SUPERVISION_MAX: ClassVar[int] = 1
 
-    temperature: int
+    temperature: int = 0
+    clock_supervision: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +152,8 @@ class Faults(RegisterValue):
         A trigger came while a train was running.
     saturated : int
         A counter stands at its largest value.
+    clock_failed : int
+        The clock failed, which disarmed the board.
     """
 
     NAME: ClassVar[str] = "faults"
@@ -156,12 +163,14 @@ class Faults(RegisterValue):
     DUTY_LIMIT_MAX: ClassVar[int] = 1
     TRIGGER_IGNORED_MAX: ClassVar[int] = 1
     SATURATED_MAX: ClassVar[int] = 1
+    CLOCK_FAILED_MAX: ClassVar[int] = 1
 
     watchdog: int = 0
     on_limit: int = 0
     duty_limit: int = 0
     trigger_ignored: int = 0
     saturated: int = 0
+    clock_failed: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -306,6 +315,23 @@ class DutyLimited(RegisterValue):
 
     NAME: ClassVar[str] = "duty_limited"
     ADDRESS: ClassVar[int] = 0x001D
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFailures(RegisterValue):
+    """Failures of the clock (the PLL lost lock) since configuration, saturating.
+
+    Attributes
+    ----------
+    value : int
+        Number.
+    """
+
+    NAME: ClassVar[str] = "clock_failures"
+    ADDRESS: ClassVar[int] = 0x001E
+    VALUE_MAX: ClassVar[int] = 65535
 
     value: int
 

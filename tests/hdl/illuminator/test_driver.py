@@ -161,6 +161,41 @@ def test_the_watchdog_disarms(driver: Illuminator, bench: IlluminatorTestbench):
     assert not driver.state().armed
 
 
+def test_a_failed_clock_disarms_and_is_reported(driver: Illuminator, bench: IlluminatorTestbench):
+    driver.play(THREE)
+    driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
+    driver.arm(watchdog_ms=1000)
+    failures = driver.faults().clock_failures
+    begin = bench.clock + 400
+    end = begin + 64
+
+    def fails(first: int, clocks: int) -> np.ndarray:
+        clock = np.arange(first, first + clocks)
+        return ((clock >= begin) & (clock < end)).astype(np.uint8)
+
+    bench.clock_failed = fails
+    bench.record()
+    bench.advance(2000)
+    bench.clock_failed = None
+    levels = bench.levels()
+    lanes = bench.config.pulse.lanes
+    assert levels[:, : 400 * lanes].any(axis=1).all()
+    assert not levels[:, 400 * lanes :].any()
+    assert not driver.state().armed
+    faults = driver.faults()
+    assert faults.clock_failed
+    assert not faults.watchdog
+    assert faults.clock_failures == failures + 1
+    driver.clear()
+    faults = driver.faults()
+    assert not faults.clock_failed
+    assert faults.clock_failures == failures + 1
+    driver.arm(watchdog_ms=1000)
+    bench.record()
+    bench.advance(1000)
+    assert bench.levels().any(axis=1).all()
+
+
 def test_a_watchdog_of_no_time_keeps_it_disarmed(driver: Illuminator):
     driver.board.write(registers.WatchdogMs(0))
     driver.board.write(registers.Arm(ARM_KEY))
@@ -215,6 +250,24 @@ def test_programs(driver: Illuminator, bench: IlluminatorTestbench):
     state = driver.state()
     assert state.sequencing
     driver.stop(timeout_s=60)
+
+
+def test_a_bank_that_a_program_will_use_can_not_be_written(
+    driver: Illuminator, bench: IlluminatorTestbench
+):
+    """Not even while another bank is in use and selected."""
+    driver.load(THREE, bank=0)
+    driver.load(THREE, bank=1)
+    driver.select(0)
+    driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
+    driver.arm(watchdog_ms=1000)
+    driver.run(alternate(), advance=Advance.FRAME_SYNC, loop=True)
+    bench.advance(1000)
+    state = driver.state()
+    assert (state.sequencing, state.bank) == (True, 0)
+    with pytest.raises(RequestError, match="REFUSED"):
+        driver.load(THREE, bank=1)
+    driver.disarm()
 
 
 def test_steps_that_can_not_be(driver: Illuminator):

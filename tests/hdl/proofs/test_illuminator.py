@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+from amaranth.hdl import Module, Signal
 
+from hueflight_hdl.illuminator.arming import Arming
 from hueflight_hdl.illuminator.pulse_generator.generator import PulseGenerator
 from hueflight_hdl.illuminator.pulse_generator.limiter import OutputLimiter
 from hueflight_hdl.proofs import illuminator_banks, illuminator_requests, illuminator_safety
@@ -51,9 +53,20 @@ def set_to(name: str, target: object, attribute: str, value: object):
     return falsify
 
 
+class DeafArming(Arming):
+    """Arms whatever the clock does."""
+
+    def elaborate(self, platform: object) -> Module:
+        self.disarm = Signal()
+        return super().elaborate(platform)
+
+
 FALSE = {
     "dark a clock too soon": set_to("illuminator-dark", PulseGenerator, "armed_latency", 1),
     "another key": set_to("illuminator-watchdog", illuminator_safety, "ARM_KEY", 5),
+    "armed while the clock fails": set_to(
+        "illuminator-watchdog", illuminator_safety, "Arming", DeafArming
+    ),
     "on-time one tick less": less("illuminator-on-time-4", max_on_ticks=79),
     "duty one tick less": less("illuminator-duty-4", burst_ticks=79),
     "a limiter that forgets parts of clocks": set_to(

@@ -41,9 +41,13 @@ class Ecp5Gearing:
         )
         return word
 
-    def add_output(self, m: Module, name: str, port: object, word: Value, /) -> None:
-        """Add a serialiser."""
+    def add_output(
+        self, m: Module, name: str, port: object, word: Value, /, *, enable: Value | None = None
+    ) -> None:
+        """Add a serialiser; `enable` acts on the pin without a clock."""
         m.submodules[f"{name}_buffer"] = buffer = io.Buffer("o", port)
+        if enable is not None:
+            m.d.comb += buffer.oe.eq(enable)
         m.submodules[f"{name}_oddr"] = Instance(
             "ODDRX2F",
             o_Q=buffer.o,

@@ -28,6 +28,12 @@ class Gearing(Protocol):
         """Add a sampler to `m` and return its word."""
         ...
 
-    def add_output(self, m: Module, name: str, port: object, word: Value, /) -> None:
-        """Add a serialiser of `word` to `m`."""
+    def add_output(
+        self, m: Module, name: str, port: object, word: Value, /, *, enable: Value | None = None
+    ) -> None:
+        """Add a serialiser of `word` to `m`.
+
+        The pin is driven only while `enable` is high. Whether it is released without a clock
+        depends on the family; see the class.
+        """
         ...

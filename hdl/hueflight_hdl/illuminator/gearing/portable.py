@@ -42,9 +42,13 @@ class DoubleDataRateGearing:
             m.d.pulse += word.eq(buffer.i[0] | buffer.i[1] << 1)
         return word
 
-    def add_output(self, m: Module, name: str, port: object, word: Value, /) -> None:
-        """Add a serialiser."""
+    def add_output(
+        self, m: Module, name: str, port: object, word: Value, /, *, enable: Value | None = None
+    ) -> None:
+        """Add a serialiser; `enable` takes effect with a clock."""
         m.submodules[f"{name}_ddr"] = buffer = io.DDRBuffer("o", port, o_domain="pulse")
+        if enable is not None:
+            m.d.comb += buffer.oe.eq(enable)
         m.d.comb += [buffer.o[0].eq(word[0]), buffer.o[1].eq(word[1])]
 
 
@@ -60,7 +64,11 @@ class SingleDataRateGearing:
         m.submodules[f"{name}_ff"] = buffer = io.FFBuffer("i", port, i_domain="pulse")
         return Value.cast(buffer.i)
 
-    def add_output(self, m: Module, name: str, port: object, word: Value, /) -> None:
-        """Add a register."""
+    def add_output(
+        self, m: Module, name: str, port: object, word: Value, /, *, enable: Value | None = None
+    ) -> None:
+        """Add a register; `enable` takes effect with a clock."""
         m.submodules[f"{name}_ff"] = buffer = io.FFBuffer("o", port, o_domain="pulse")
+        if enable is not None:
+            m.d.comb += buffer.oe.eq(enable)
         m.d.comb += buffer.o.eq(word)

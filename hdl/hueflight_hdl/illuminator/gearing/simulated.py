@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Signal, Value
+from amaranth.hdl import Module, Mux, Signal, Value
 
 from .interface import Gearing
 
@@ -25,9 +25,12 @@ class SimulatedGearing:
         """Return the port's word, later."""
         return self._later(m, name, Value.cast(port), self.input_latency)
 
-    def add_output(self, m: Module, name: str, port: object, word: Value, /) -> None:
-        """Drive the port with the word, later."""
-        m.d.comb += Value.cast(port).eq(self._later(m, name, word, self.output_latency))
+    def add_output(
+        self, m: Module, name: str, port: object, word: Value, /, *, enable: Value | None = None
+    ) -> None:
+        """Drive the port with the delayed word; it is 0 at once while `enable` is low."""
+        later = self._later(m, name, word, self.output_latency)
+        m.d.comb += Value.cast(port).eq(later if enable is None else Mux(enable, later, 0))
 
     def _later(self, m: Module, name: str, word: Value, clocks: int) -> Value:
         for clock in range(clocks):

@@ -1,0 +1,206 @@
+"""A whole generated top, with models of the vendor's primitives, in Verilator.
+
+Everything in a bitstream of a board is simulated: clocks and PLL, I/O registers, serial line and
+illuminator. A run takes a list of commands and returns the changes of the pins in picoseconds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+import subprocess
+import tempfile
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hueflight_protocol.cobs import cobs_decode
+from hueflight_protocol.control import Response, decode_response
+from hueflight_protocol.errors import HueflightError
+
+from ..toolchain import cache_directory, run_tool
+from .serial_line import LineReader
+
+MODELS = Path(__file__).parent / "ecp5"
+BAUD = 3e6
+_SAMPLES_PER_BIT = 16
+_OPTIONS = ("--cc", "--exe", "--build", "--timing", "-Wno-fatal", "-Wno-lint", "-Wno-style")
+_WRAPPER = """\
+module board (input osc, rx, trigger, output [{last}:0] led, output tx);
+    top top (
+        .{clock}(osc),
+        .uart_0__rx__io(rx),
+        .uart_0__tx__io(tx),
+        .trigger_0__io(trigger),
+        .led_pulse_0__io(led),
+        .frame_sync_0__io(1'b0)
+    );
+endmodule
+"""
+
+
+class BoardError(HueflightError):
+    """A generated top cannot be simulated, or its simulation failed."""
+
+
+@dataclass
+class BoardScript:
+    """Commands for a simulated board, in order.
+
+    Attributes
+    ----------
+    lines : list of str
+        Commands, as ``board_main.cc`` lists them.
+    now_ps : int
+        Time at which the next command takes effect.
+    """
+
+    lines: list[str] = field(default_factory=list)
+    now_ps: int = 0
+
+    def wait(self, ps: int, /) -> None:
+        """Let time pass."""
+        self.lines.append(f"wait {ps}")
+        self.now_ps += ps
+
+    def send(self, frame: bytes, /) -> None:
+        """Send bytes on the serial line."""
+        bit = round(1e12 / BAUD)
+        self.lines.append(f"send {frame.hex()} {bit}")
+        self.now_ps += 10 * len(frame) * bit
+
+    def set(self, name: str, value: int, /) -> None:
+        """Set an input: ``trigger`` and ``osc`` to a level, ``pll`` to a mode of its model."""
+        self.lines.append(f"{name} {value}")
+
+
+@dataclass(frozen=True)
+class BoardRun:
+    """What a board did.
+
+    Attributes
+    ----------
+    led : list of (int, int)
+        Changes of the LED pins: time in picoseconds, and a bit for each channel.
+    tx : list of (int, int)
+        Changes of the serial output.
+    end_ps : int
+        Time at the end.
+    """
+
+    led: list[tuple[int, int]]
+    tx: list[tuple[int, int]]
+    end_ps: int
+
+    def pulses(self, channel: int, start_ps: int, stop_ps: int, /) -> list[tuple[int, int]]:
+        """Return when a channel's LED goes on within a window, and for how long, in ps."""
+        found, on = [], None
+        for time, levels in [*self.led, (self.end_ps, 0)]:
+            lit = levels >> channel & 1
+            if lit and on is None:
+                on = time
+            elif not lit and on is not None:
+                if start_ps <= on < stop_ps:
+                    found.append((on, time - on))
+                on = None
+        return found
+
+    def responses(self) -> list[Response]:
+        """Return the responses that the board sent."""
+        step = 1e12 / BAUD / _SAMPLES_PER_BIT
+        times = [time for time, _ in self.tx]
+        levels = [
+            self.tx[max(bisect_right(times, int(number * step)) - 1, 0)][1]
+            for number in range(int(self.end_ps / step))
+        ]
+        # before the first change and while the board starts, the line rests
+        line = np.array(levels, np.uint8)
+        data = LineReader(clocks_per_bit=_SAMPLES_PER_BIT).feed(line)
+        return [decode_response(cobs_decode(part)) for part in data.split(b"\0") if part]
+
+
+def compile_board(verilog: Path, /, *, oscillator_hz: float) -> Path:
+    """Compile a generated top with the models of primitives; the result is cached.
+
+    Parameters
+    ----------
+    verilog : Path
+        ``top.v`` of an illuminator on an ECP5 board.
+    oscillator_hz : float
+        Frequency of the board's oscillator.
+
+    Returns
+    -------
+    Path
+        A program for `run_board`.
+
+    Raises
+    ------
+    ToolError
+        If Verilator is not installed or fails.
+    BoardError
+        If the top does not have the pins of an illuminator.
+    """
+    text = verilog.read_text()
+    clock = re.search(r"input (clk\w+__io);", text)
+    leds = re.search(r"output \[(\d+):0\] led_pulse_0__io;", text)
+    if clock is None or leds is None:
+        raise BoardError(f"{verilog}: not an illuminator: it has no clock or no led_pulse pins")
+    wrapper = _WRAPPER.format(last=leds[1], clock=clock[1])
+    half = round(0.5e12 / oscillator_hz)
+    sources = [MODELS / "primitives.sv", MODELS / "board_main.cc"]
+    digest = hashlib.sha256("\0".join((text, wrapper, str(half), *_OPTIONS)).encode())
+    for source in sources:
+        digest.update(source.read_bytes())
+    folder = cache_directory() / "verilator"
+    kept = folder / digest.hexdigest()[:32]
+    if kept.exists():
+        return kept
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as made:
+        work = Path(made)
+        (work / "top.v").write_text(text)
+        (work / "board.sv").write_text(wrapper)
+        for source in sources:
+            shutil.copyfile(source, work / source.name)
+        names = ("top.v", "board.sv", "primitives.sv", "board_main.cc")
+        flags = f"-O1 -DOSC_HALF_PS={half}"
+        timing = ("--timescale", "1ps/1ps", "--top-module", "board", "-CFLAGS", flags)
+        run_tool("verilator", *_OPTIONS, *timing, "--Mdir", "obj", "-o", "board", *names, cwd=work)
+        (work / "obj" / "board").replace(kept)
+    return kept
+
+
+def run_board(program: Path, script: BoardScript, /) -> BoardRun:
+    """Run a compiled board.
+
+    Parameters
+    ----------
+    program : Path
+        From `compile_board`.
+    script : BoardScript
+        What happens to the board.
+
+    Returns
+    -------
+    BoardRun
+        What its pins did.
+
+    Raises
+    ------
+    BoardError
+        If the simulation fails.
+    """
+    finished = subprocess.run(
+        [program], input="\n".join(script.lines), capture_output=True, text=True, check=False
+    )
+    if finished.returncode:
+        raise BoardError(f"the simulation of {program} failed: {finished.stderr[-500:]}")
+    changes: dict[str, list[tuple[int, int]]] = {"led": [], "tx": []}
+    for line in finished.stdout.splitlines():
+        time, name, value = line.split()
+        changes[name].append((int(time), int(value)))
+    return BoardRun(changes["led"], changes["tx"], script.now_ps)

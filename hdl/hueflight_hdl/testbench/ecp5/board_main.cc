@@ -1,0 +1,91 @@
+// Runs a whole generated top by commands from standard input; prints changes of its pins.
+//
+//   wait PS         let time pass
+//   send HEX PS     send bytes on the serial line, 8N1, PS picoseconds a bit
+//   trigger LEVEL   set the trigger input
+//   pll MODE        state of the PLL, see pll_mode in the models of primitives
+//   osc RUNS        stop (0) or start (1) the oscillator
+//
+// Each change is a line: time in picoseconds, "led" or "tx", value.
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <iostream>
+#include <memory>
+#include <string>
+
+#include "Vboard.h"
+#include "Vboard__Dpi.h"
+#include "verilated.h"
+
+static int mode = 0;
+int pll_mode() { return mode; }
+
+struct Board {
+    VerilatedContext context;
+    std::unique_ptr<Vboard> top{new Vboard(&context)};
+    uint64_t now = 0, next_edge = OSC_HALF_PS;
+    bool running = true;
+    int led = -1, tx = -1;
+
+    void settle() {
+        context.time(now);
+        top->eval();
+        if (int value = top->led; value != led)
+            std::printf("%llu led %d\n", (unsigned long long)now, led = value);
+        if (int value = top->tx; value != tx)
+            std::printf("%llu tx %d\n", (unsigned long long)now, tx = value);
+    }
+
+    void wait(uint64_t ps) {
+        const uint64_t end = now + ps;
+        settle();
+        while (now < end) {
+            uint64_t next = end;
+            if (top->eventsPending()) next = std::min<uint64_t>(next, top->nextTimeSlot());
+            if (running) next = std::min(next, next_edge);
+            now = std::max(next, now);
+            if (running && now == next_edge) {
+                top->osc = !top->osc;
+                next_edge += OSC_HALF_PS;
+            }
+            settle();
+        }
+    }
+
+    void send(const std::string &hex, uint64_t bit) {
+        for (size_t at = 0; at + 1 < hex.size(); at += 2) {
+            int frame = std::stoi(hex.substr(at, 2), nullptr, 16) << 1 | 1 << 9;
+            for (int i = 0; i < 10; i++, frame >>= 1) {
+                top->rx = frame & 1;
+                wait(bit);
+            }
+        }
+    }
+};
+
+int main() {
+    Board board;
+    board.top->rx = 1;
+    std::string command, hex;
+    uint64_t value;
+    while (std::cin >> command) {
+        if (command == "send") {
+            std::cin >> hex >> value;
+            board.send(hex, value);
+            continue;
+        }
+        std::cin >> value;
+        if (command == "wait") board.wait(value);
+        else if (command == "trigger") board.top->trigger = value;
+        else if (command == "pll") mode = value;
+        else if (command == "osc") {
+            board.running = value;
+            board.next_edge = board.now + OSC_HALF_PS;
+        } else {
+            std::fprintf(stderr, "unknown command %s\n", command.c_str());
+            return 1;
+        }
+    }
+    return 0;
+}

@@ -174,7 +174,7 @@ def instructions(gate: float | None) -> None:
         folder = Path(name)
         program, stream = folder / "instructions", folder / "packets"
         source = Path(__file__).parent / "_instructions.c"
-        include = f"-I{ROOT / 'host' / 'hueflight' / 'ingest'}"
+        include = f"-I{ROOT / 'host' / 'hueflight' / 'ingest' / '_c'}"
         subprocess.run(["gcc", "-O3", "-g", include, str(source), "-o", str(program)], check=True)
         for occupancy in (0.0, *OCCUPANCIES):
             stream.write_bytes(packets_of(uniform_codes(FRAMES, 192, 128, occupancy)))

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from hueflight_hdl.boards.targets import find_target
-from hueflight_hdl.build.build import build
+from hueflight_hdl.build.build import SEEDS, build
 from hueflight_hdl.build.report import BuildError
 from hueflight_hdl.cli import build as build_command
 from hueflight_hdl.cli import main
@@ -78,10 +78,13 @@ def test_ise_boards_are_not_built_here(small, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("board", ["hx8k", "ulx3s-85f"])
-def test_illuminator_has_its_margin_and_repeats(builder, tmp_path, board):
+@pytest.mark.timeout(3000)  # up to eight placements of a few minutes each
+@pytest.mark.parametrize(("board", "reached_with"), [("hx8k", 1), ("ulx3s-85f", 4)])
+def test_illuminator_has_its_margin_and_repeats(builder, tmp_path, board, reached_with):
+    """Seeds are tried as the command does, but first the one that reached the margin before."""
     target = find_target("illuminator", board)
-    report = build(target, tmp_path)
+    seeds = [reached_with, *(seed for seed in SEEDS if seed != reached_with)]
+    report = build(target, tmp_path, seeds=seeds)
     assert report.reached, report.to_json()
     again = build(target, tmp_path / "again", seeds=[report.seed])
     assert again.sha256 == report.sha256

@@ -47,7 +47,7 @@ export function showPixel() {
   const spread = facts.depth_std_m === null ? "" : ` ± ${(1e3 * facts.depth_std_m).toFixed(1)} mm`;
   $("pixel-depth").textContent = depth + spread;
   // a pixel that a live picture skips has not changed since it was fitted
-  const words = facts.quality.map((flag) => (flag === "skipped" ? "unchanged" : flag));
+  const words = facts.quality.map((flag) => (flag === "skipped" ? "unchanged" : flag.replaceAll("_", " ")));
   const flags = words.length ? `; ${words.join(", ")}` : "";
   $("pixel-note").textContent = `${facts.photons.toLocaleString("en")} photons in ${facts.frames} frames${flags}`;
 }

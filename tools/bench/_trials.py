@@ -25,7 +25,7 @@ from hueflight.reconstruction.bounds import bounds, expected_shares, fisher_info
 from hueflight.reconstruction.uncertainty import reflectance_interval
 
 ROWS = 32  #: each row of an image has its own distance, each column its own photons
-DISTANCE_M = 1.0  #: of the reference
+DISTANCE_M = 3.0  #: of the reference; every delay that is tried lies in front of the camera
 SPAN_NS = 10.0  #: distances lie within so many ns of the reference either way
 FRAMES = 2**30  #: so many that no photon shadows another: pile-up has tests of its own
 LEAST_BACKGROUND = 2.0  #: photons; with less, single photons between the pulses outweigh all
@@ -179,7 +179,8 @@ class Outcome:
     depth_ratio : RMSE of depth ÷ bound; mislocks (beyond 5 ns and 6 bounds) left out.
     depth_bias_mm : mean error of depth, the same pixels, less what is chance by the truth; and
         `depth_bias_noise_mm` its standard error.
-    mislocks : share of pixels that locked elsewhere or gave no depth.
+    mislocks : share of pixels with a depth that locked elsewhere.
+    missing : share of pixels that gave no depth.
     reflectance_bias : (band,) mean error ÷ reflectance of the brightest band, in the same way;
         and `reflectance_bias_noise` its standard error.
     reflectance_ratio : (band,) spread ÷ bound.
@@ -193,6 +194,7 @@ class Outcome:
     depth_bias_mm: float
     depth_bias_noise_mm: float
     mislocks: float
+    missing: float
     reflectance_bias: NDArray[np.float64]
     reflectance_bias_noise: NDArray[np.float64]
     reflectance_ratio: NDArray[np.float64]
@@ -301,6 +303,7 @@ def _outcome(estimates: list[Estimate], true: Truth, made: Rig, pixels_per_s: fl
         return np.concatenate([part.reshape(-1, *part.shape[2:]) for part in parts]).astype(float)
 
     error = flat([part.depth for part in estimates]) - np.tile(true.depths, len(estimates))
+    given = np.isfinite(error)
     locked = np.abs(error) < np.maximum(5.0 * metres, 6 * bound)
     deviation = flat([part.depth_std for part in estimates])
     found = flat([part.reflectance for part in estimates])
@@ -330,7 +333,8 @@ def _outcome(estimates: list[Estimate], true: Truth, made: Rig, pixels_per_s: fl
         depth_ratio=float(np.sqrt(np.mean(error**2) / np.mean(bound[locked] ** 2))),
         depth_bias_mm=float((error.mean() - chance.mean()) * 1e3),
         depth_bias_noise_mm=float(left.std() / np.sqrt(max(locked.sum(), 1)) * 1e3),
-        mislocks=float(1 - locked.mean()),
+        mislocks=float(1 - locked[given].mean()) if given.any() else np.nan,
+        missing=float(1 - given.mean()),
         reflectance_bias=(
             (off.mean(axis=0) - band_chance.mean(axis=0)) / brightest if len(off) else nothing
         ),

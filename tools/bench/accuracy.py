@@ -171,6 +171,9 @@ def _limits(found: Results) -> str:
     def mislocks(group: list[Outcome]) -> float:
         return max(o.mislocks for o in group)
 
+    def missing(group: list[Outcome]) -> float:
+        return max(o.missing for o in group)
+
     many = [o for c, o in found.items() if c.photons >= 600 and c.background <= 1]
     depth = np.mean([o.depth_cover for o in many], axis=0) * 100
     bands = np.array([o.reflectance_cover for o in many]) * 100
@@ -190,6 +193,8 @@ def _limits(found: Results) -> str:
          f"{worst(ratio, lambda c: some(c, [50, 100], up_to_1)):.3f}"],
         ["mislocks, 50 and 100 photons, worst cell", "< 0.5 %",
          f"{100 * worst(mislocks, lambda c: some(c, [50, 100], up_to_1)):.2f} %"],
+        ["no surface detected, 50 and 100 photons, worst cell", "",
+         f"{100 * worst(missing, lambda c: some(c, [50, 100], up_to_1)):.2f} %"],
         ["depth bias by colour, 6 ns tails, 620 photons", "≤ 1 mm",
          depth_bias(lambda c: some(c, [620], up_to_1) and c.tail_ns == 6)],
         ["depth bias by colour, 6 ns tails, 200 photons", "≤ 2 mm",

@@ -2,6 +2,7 @@
 
 import inspect
 import re
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -133,3 +134,11 @@ def test_every_header_of_a_kernel_is_among_what_its_build_depends_on(monkeypatch
                     seen.add(header)
                     pending.append(header)
         assert seen
+
+
+def test_the_command_that_builds_kernels_in_place_can_read_the_project():
+    """As CONTRIBUTING names it; an older setuptools refuses the form of the licence."""
+    command = [sys.executable, "setup.py", "--quiet", "--name"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-1] == "hueflight"

@@ -27,10 +27,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 import hueflight as hf
 from hueflight import simulator
-from hueflight.model.histograms import frames_per_pixel
 from hueflight.model.schedules import Schedule, ambiguity, design_schedules, unambiguous_range
 from hueflight.reconstruction.bounds import expected_shares
-from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.quality import Quality
 from hueflight.simulator import CaptureKind
 
@@ -213,10 +211,9 @@ def picture(fig1: Fig1, images: dict) -> None:
 def speed(fig1: Fig1, write: bool) -> None:
     """Pixels per second of the few-photon mode, beside the joint fit on the same counts."""
     counts = fig1.capture(FRAMES)
-    frames = frames_per_pixel(counts, fig1.instrument, None)
 
     def run(threads: int):
-        return lambda: few_photons.estimate(counts, frames, fig1.calibration, threads=threads)
+        return lambda: hf.reconstruct(counts, fig1.calibration, method="pooled", threads=threads)
 
     contenders = {
         "one thread": run(1),

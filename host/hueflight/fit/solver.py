@@ -33,7 +33,8 @@ TILE_PIXELS = 2048  #: pixels that one thread takes at a time
 
 COUNT_TYPES = (np.uint16, np.uint32, np.float32)  #: that the compiled kernel reads
 
-_packed: WeakKeyDictionary[ModelTables, PackedTables] = WeakKeyDictionary()
+#: tables for a number of lanes; processes that compare builds use several
+_packed: WeakKeyDictionary[ModelTables, dict[int, PackedTables]] = WeakKeyDictionary()
 
 
 class _Kernel(Protocol):
@@ -326,9 +327,10 @@ def change_significance(
 
 
 def _packed_for(tables: ModelTables, kernel: _Kernel) -> PackedTables:
-    if tables not in _packed:
-        _packed[tables] = pack(tables, kernel.LANES)
-    return _packed[tables]
+    kept = _packed.setdefault(tables, {})
+    if kernel.LANES not in kept:
+        kept[kernel.LANES] = pack(tables, kernel.LANES)
+    return kept[kernel.LANES]
 
 
 def _fit_compiled(

@@ -15,7 +15,7 @@ from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.fit.assessment import MISFIT, p_value, wavelength_contrasts
 from hueflight.fit.reference import Fit
-from hueflight.fit.solver import fit_pixels, photon_sums
+from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import (
     ModelTables,
     ScheduleView,
@@ -27,8 +27,11 @@ from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.undersampling import smooth_undersampled
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
-from hueflight.reconstruction.options import DEFAULT_SKIPS, EstimatorOptions, Skips
+from hueflight.reconstruction.options import EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
+
+#: options that change the result and that the method takes into account
+honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
@@ -115,81 +118,53 @@ def search_range_ns(
 
 
 def estimate(
-    light: NDArray[Any],
-    frames: NDArray[np.float64] | None,
-    calibration: Calibration,
-    *,
-    photons: NDArray[np.float64] | None = None,
-    range_correction: bool = False,
-    pileup_correction: bool = True,
-    depth_range: tuple[float, float] | None = None,
-    region: NDArray[np.bool_] | None = None,
-    skips: Skips = DEFAULT_SKIPS,
-    threads: int = 1,
+    prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
 ) -> Estimates:
     """Estimate depth and reflectance of every pixel by the joint fit.
 
     Parameters
     ----------
-    light : ndarray, shape (row, col, bin)
-        Counts in time order.
-    frames : ndarray of float, shape (row, col), or None
-        Exposures behind them; None to assume as many as the reference had.
+    prepared : PreparedHistogram
+        The histogram, checked and in time order.
     calibration : Calibration
         Calibration of the same instrument.
-    photons : ndarray of float, shape (row, col), optional
-        Sums of `light`, if they are known already.
-    range_correction : bool
-        Multiply reflectance by (distance / reference distance)².
-    pileup_correction : bool
-        Undo the loss of photons after the first one of an exposure.
-    depth_range : tuple of float, optional
-        Depths to search, m; by default half the spacing of the pulses about the reference.
-    region : ndarray of bool, shape (row, col), optional
-        Pixels that are wanted; by default all.
-    skips : Skips
-        What may be left out.
-    threads : int
-        Threads that share the pixels.
+    options : EstimatorOptions
+        What was asked for.
 
     Returns
     -------
     Estimates
-        Results of all pixels.
+        Results of the pixels of the region that was asked for.
     """
-    rows, cols, bins = light.shape
-    search_ns = search_range_ns(calibration, depth_range)
-    tables = tables_for_calibration(calibration, search_ns)
-    flat = light.reshape(rows * cols, bins)
-    if photons is None:
-        photons = photon_sums(flat).reshape(rows, cols)
-    usable = calibration.usable
-    wanted = np.ones((rows, cols), bool) if region is None else region
+    light, photons, exposures = prepared.light, prepared.photons, prepared.exposures
+    skips, usable = options.skips, calibration.usable
+    search_ns = search_range_ns(calibration, options.depth_range)
+    wanted = np.ones(photons.shape, bool) if options.region is None else options.region
     chosen = wanted.copy()
     if skips.empty:
         chosen &= photons > 0
     if skips.defects:
         chosen &= usable
     found = fit_chosen(
-        flat,
+        light.reshape(-1, light.shape[-1]),
         chosen,
         photons,
-        frames if pileup_correction else None,
+        exposures if options.pileup_correction else None,
         calibration,
-        tables,
+        tables_for_calibration(calibration, search_ns),
         skips=skips,
-        threads=threads,
+        threads=options.threads,
     )
     known = wanted & usable & (photons > 0)
     return in_metres(
         found if np.array_equal(known, chosen) else found.take(known[chosen]),
         known,
         photons,
-        frames,
+        exposures,
         calibration,
         search_ns=search_ns,
-        range_correction=range_correction,
-        pileup_correction=pileup_correction,
+        range_correction=options.range_correction,
+        pileup_correction=options.pileup_correction,
         assessed=skips.of_fit(calibration).assessment,
     )
 
@@ -296,7 +271,9 @@ def in_metres(
     low_signal = ~(found.delay_std_ns < blind_ns)
     no_return = found.detection < detection_threshold(search_ns)
     along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
-    behind = calibration.distance + found.delay_ns * along_axis[chosen] <= 0
+    # with a reference at 0, as of a sensor with one of its own, depth has an offset
+    has_target = calibration.distance > 0
+    behind = has_target & (calibration.distance + found.delay_ns * along_axis[chosen] <= 0)
     low_ns, high_ns = search_ns[0] + LIMIT_NS, search_ns[1] - LIMIT_NS
     outside = (found.delay_ns <= low_ns) | (found.delay_ns >= high_ns) | behind
     unknown = low_signal | no_return | outside
@@ -330,9 +307,8 @@ def in_metres(
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
     if range_correction:
-        known = calibration.distance > 0
         guess = calibration.distance + plane(found.delay_ns, told=False) * along_axis
-        ratio = guess / calibration.distance if known else np.full_like(depth, np.nan)
+        ratio = guess / calibration.distance if has_target else np.full_like(depth, np.nan)
         scale = scale * ratio**2
     gain = scale[chosen][:, None] / calibration.brightness
     return Estimates(
@@ -367,29 +343,3 @@ def _quality(
         of_chosen[pixels] |= int(flag)
     quality[chosen] |= of_chosen
     return quality
-
-
-class _Estimator:
-    """The joint fit, as method ``"joint"``."""
-
-    honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
-
-    def estimate(
-        self, prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
-    ) -> Estimates:
-        """Estimate an image; see `hueflight.reconstruction.methods.Estimator`."""
-        return estimate(
-            prepared.light,
-            prepared.exposures,
-            calibration,
-            photons=prepared.photons,
-            range_correction=options.range_correction,
-            pileup_correction=options.pileup_correction,
-            depth_range=options.depth_range,
-            region=options.region,
-            skips=options.skips,
-            threads=options.threads,
-        )
-
-
-ESTIMATOR = _Estimator()

@@ -1,8 +1,8 @@
 """The registry of methods: a name for each way to estimate an image from a histogram.
 
-A new method is one object with the two members of `Estimator`, and one line in `METHODS`. A package
-outside Hueflight calls `register`, or declares an entry point in the group ``hueflight.methods``
-that names such an object.
+A new method is one module (or object) with the two members of `Estimator`, and one line in
+`METHODS`. A package outside Hueflight calls `register`, or declares an entry point in the group
+``hueflight.methods`` that names such a module or object.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ class Estimator(Protocol):
 
 
 METHODS: dict[str, Estimator] = {
-    "joint": joint.ESTIMATOR,
-    "paper": paper.ESTIMATOR,
-    "pooled": pooled.ESTIMATOR,
+    "joint": joint,
+    "paper": paper,
+    "pooled": pooled,
 }
 
 

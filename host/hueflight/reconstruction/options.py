@@ -16,6 +16,8 @@ from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.quality import Quality
 
+ABOUT_COUNTS = Quality.DEAD | Quality.HOT | Quality.SATURATED  #: flags that need no estimate
+
 Region = tuple[slice, slice] | NDArray[np.bool_]
 
 
@@ -181,7 +183,7 @@ def leave_out(estimates: Estimates, pixels: NDArray[np.bool_]) -> None:
     for values in (estimates.other_depth, estimates.fit_chi_square, estimates.fit_p_value):
         if values is not None:
             values[pixels] = np.nan
-    estimates.quality[pixels] &= ~np.uint16(Quality.LOW_SIGNAL | Quality.AMBIGUOUS | Quality.MISFIT)
+    estimates.quality[pixels] &= np.uint16(ABOUT_COUNTS)
     estimates.quality[pixels] |= int(Quality.SKIPPED)
 
 

@@ -24,46 +24,37 @@ from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.paper_kernel import Measured, Search, measure
 from hueflight.reconstruction.quality import Quality
 
+#: options that change the result and that the method takes into account
+honors = frozenset({"range_correction", "pileup_correction"})
+
 TILE_PIXELS = 512  #: pixels correlated at once: their spectra stay in the cache
 
 
 def estimate(
-    light: NDArray[Any],
-    frames: NDArray[np.float64] | None,
-    calibration: Calibration,
-    *,
-    photons: NDArray[np.float64] | None = None,
-    range_correction: bool = False,
-    pileup_correction: bool = True,
+    prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
 ) -> Estimates:
     """Estimate depth and reflectance of every pixel by the published method.
 
+    With the pile-up correction, reflectance stays proportional to light at high occupancy. A sensor
+    keeps one photon per exposure: the mean number that arrived is −ln(1 − hits/exposures).
+
     Parameters
     ----------
-    light : ndarray, shape (row, col, bin)
-        Counts in time order.
-    frames : ndarray of float, shape (row, col), or None
-        Exposures behind them; None to assume as many as the reference had.
+    prepared : PreparedHistogram
+        The histogram, checked and in time order.
     calibration : Calibration
         Calibration of the same instrument.
-    photons : ndarray of float, shape (row, col), optional
-        Sums of `light`, if they are known already.
-    range_correction : bool
-        Multiply reflectance by (distance / reference distance)².
-    pileup_correction : bool
-        Undo the loss of later photons of an exposure, so that reflectance stays proportional to
-        light at high occupancy. A sensor keeps one photon per exposure: the mean number that
-        arrived is −ln(1 − hits/frames).
+    options : EstimatorOptions
+        What was asked for.
 
     Returns
     -------
     Estimates
         Results of all pixels.
     """
+    light, known, frames = prepared.light, prepared.photons, prepared.exposures
+    pileup_correction = options.pileup_correction
     rows, cols, count = light.shape
-    known: NDArray[np.float64] = (
-        light.sum(axis=-1, dtype=np.float64) if photons is None else photons
-    )
     usable = calibration.usable
     chosen = usable & (known > 0)
     delay_bins, delay_std = (np.full((rows, cols), np.nan) for _ in range(2))
@@ -95,7 +86,7 @@ def estimate(
         plane[low_signal] = np.nan
 
     scale = calibration.photon_scale(known, frames, pileup_correction=pileup_correction)
-    if range_correction:
+    if options.range_correction:
         scale = scale * np.square(_range_ratio(depth, calibration))
     gain = calibration.gain[:, None, None] * scale
     return Estimates(
@@ -309,25 +300,3 @@ def _background(light: NDArray[np.floating], calibration: Calibration) -> NDArra
     if not outside.any():
         return np.full(len(light), np.nan)
     return light[:, outside].mean(axis=-1, dtype=np.float64)
-
-
-class _Estimator:
-    """The published method, as method ``"paper"``."""
-
-    honors = frozenset({"range_correction", "pileup_correction"})
-
-    def estimate(
-        self, prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
-    ) -> Estimates:
-        """Estimate an image; see `hueflight.reconstruction.methods.Estimator`."""
-        return estimate(
-            prepared.light,
-            prepared.exposures,
-            calibration,
-            photons=prepared.photons,
-            range_correction=options.range_correction,
-            pileup_correction=options.pileup_correction,
-        )
-
-
-ESTIMATOR = _Estimator()

@@ -27,7 +27,8 @@ class Quality(IntFlag):
     NO_RETURN : int
         Background alone explains the counts: no surface was detected.
     OUT_OF_RANGE : int
-        The best delay lies at the end of the searched range, or behind the camera.
+        The best delay lies at the end of the searched range, or behind the camera. A calibration
+        whose reference has the distance 0 does not tell where the camera is.
     MISFIT : int
         One surface with the calibrated pulses does not explain the counts: for example two
         surfaces in the pixel, whose reported depth may lie between them.

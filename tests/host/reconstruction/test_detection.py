@@ -99,6 +99,15 @@ def test_counts_that_no_pulse_explains_give_no_depth_behind_the_camera(
         assert (image["quality"].values[np.isnan(depth)] > 0).all()
 
 
+def test_a_reference_at_distance_0_does_not_tell_where_the_camera_is(instrument, draw) -> None:
+    """As of real sensors with a reference of their own: their depth has an offset."""
+    reference = draw(instrument, depth=0.4, photons=3000)
+    calibration = hf.calibrate(reference, instrument, distance=0.0)
+    image = hf.reconstruct(draw(instrument, depth=0.3, photons=2000, seed=7), calibration)
+    assert np.median(image["depth"].values) == pytest.approx(-0.1, abs=0.01)
+    assert not has_flag(image, Quality.OUT_OF_RANGE).any()
+
+
 def test_a_surface_beyond_the_searched_range_is_flagged(instrument, calibration, draw) -> None:
     counts = draw(instrument, depth=1.9, photons=2000, background=20, seed=6)
     image = hf.reconstruct(counts, calibration, depth_range=(0.2, 1.2))

@@ -64,6 +64,18 @@ def test_all_at_once_within_what_they_state(setting):
     assert np.sqrt(float((apart**2).mean())) < 0.06
 
 
+@pytest.mark.parametrize("method", ["joint", "pooled"])
+def test_pixels_outside_a_region_say_only_that_they_were_skipped(setting, draw, method):
+    """Also those that an estimator looks at all the same, and in which it found no surface."""
+    instrument, calibration, _ = setting
+    counts = draw(instrument, photons=1e-9, background=3000)
+    image = hf.reconstruct(counts, calibration, method=method, region=np.s_[2:5, 3:9])
+    outside = np.ones((12, 12), bool)
+    outside[2:5, 3:9] = False
+    assert (image["quality"].values[outside] == int(Quality.SKIPPED)).all()
+    assert (image["quality"].values[~outside] & int(Quality.NO_RETURN)).all()
+
+
 @pytest.mark.parametrize("region", [np.s_[2:5, 3:9], "mask"])
 @pytest.mark.parametrize("method", ["joint", "paper"])
 def test_regions(setting, region, method):
@@ -147,7 +159,7 @@ def test_bins_without_a_pulse(setting, monkeypatch):
     assert len(packed[True].fine.data) < 0.5 * len(packed[False].fine.data)
     found = {}
     for skip, tables in packed.items():
-        kernels._packed[plan] = tables
+        kernels._packed[plan] = {kernel.LANES: tables}
         found[skip] = kernels.fit_pixels(light, np.zeros(144), plan)
     kernels._packed.pop(plan)
     np.testing.assert_allclose(found[True].delay_ns, found[False].delay_ns, rtol=0, atol=1e-5)

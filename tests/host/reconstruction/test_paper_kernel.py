@@ -10,6 +10,8 @@ from hueflight import backend
 from hueflight.backend.fit import CORRELATIONS
 from hueflight.reconstruction import paper
 from hueflight.reconstruction import paper_kernel as paper_compiled
+from hueflight.reconstruction.inputs import prepare_histogram
+from hueflight.reconstruction.options import EstimatorOptions
 
 compiled = pytest.mark.usefixtures("compiled_fit")
 
@@ -162,7 +164,8 @@ def test_references_the_kernel_does_not_read_go_by_the_definition(
     light = instrument.time_bins().in_time_order(draw(instrument, photons=620)).reshape(144, -1)
     lags, outside = paper.search_of(other), paper.outside_windows(other)
     assert paper_compiled.measure(light, np.arange(144), 620, other, lags, outside) is None
-    found = paper.estimate(light.reshape(12, 12, -1), None, other)
+    prepared = prepare_histogram(draw(instrument, photons=620), other, None)
+    found = paper.estimate(prepared, other, EstimatorOptions())
     assert np.isfinite(found.depth).all()
 
 

@@ -311,15 +311,7 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
         mine[A_TD] += td;
         mine[A_TE] += te;
     }
-    for (int i = level->meets[phase]; i < level->meets[phase + 1]; i++) {
-        Meeting meeting = level->meetings[i];
-        const float *one = level->data + (size_t)meeting.one * LANES;
-        const float *other = level->data + (size_t)meeting.other * LANES;
-        vec both = {0};
-        for (int v = 0; v < meeting.count; v++)
-            both += load(one + v * LANES) * means[meeting.block + v] * load(other + v * LANES);
-        pairs[meeting.pair] += both;
-    }
+    add_meetings(level, phase, means, pairs);
     float made[(A_COMMON + MOST_BANDS * A_SUMS + MOST_PAIRS) / LANES * LANES + LANES];
     for (int i = 0; i < used; i += LANES)
         store(made + i, sums(all + i));
@@ -327,8 +319,6 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
     int b = bands, t = bands + 1;
     const float *band = made + A_COMMON, *pair_sums = band + bands * A_SUMS;
     for (int k = 0; k < bands; k++, band += A_SUMS) {
-        for (int j = 0; j < k; j++)
-            into->normal[AT(k, j)][lane] = 0;
         into->normal[AT(k, k)][lane] = band[A_TT];
         into->normal[AT(b, k)][lane] = band[A_TW];
         into->normal[AT(t, k)][lane] = band[A_TS];
@@ -337,8 +327,7 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
         to->sides[TO_D][k][lane] = band[A_TD];
         to->sides[TO_E][k][lane] = band[A_TE];
     }
-    for (int i = 0; i < level->pairs; i++)
-        into->normal[AT(level->pair_bands[2 * i], level->pair_bands[2 * i + 1])][lane] = pair_sums[i];
+    put_pairs(level, bands, pair_sums, into, lane);
     into->normal[AT(b, b)][lane] = made[A_WW];
     into->normal[AT(t, b)][lane] = made[A_SW];
     into->normal[AT(t, t)][lane] = made[A_SS];

@@ -46,6 +46,31 @@ enum { TT, TB, BB, RT, RB, CUBIC, COMMON };
 enum { SELF, WIDTH, SLOPE, COUNTS, SUMS };
 #define MOST_PAIRS (MOST_BANDS * (MOST_BANDS - 1) / 2)
 
+/* Adds the weighted products of the shares of two bands, of every pair that shares bins. */
+INLINE void add_meetings(const DelayTables *level, int phase, const vec *weights, vec *pairs)
+{
+    for (int i = level->meets[phase]; i < level->meets[phase + 1]; i++) {
+        Meeting meeting = level->meetings[i];
+        const float *one = level->data + (size_t)meeting.one * LANES;
+        const float *other = level->data + (size_t)meeting.other * LANES;
+        vec both = {0};
+        for (int v = 0; v < meeting.count; v++)
+            both += load(one + v * LANES) * weights[meeting.block + v] * load(other + v * LANES);
+        pairs[meeting.pair] += both;
+    }
+}
+
+/* Puts their sums into the lane of the equations; bands that share no bins have none. */
+INLINE void put_pairs(const DelayTables *level, int bands, const float *made, Equations *into,
+                      int lane)
+{
+    for (int k = 0; k < bands; k++)
+        for (int j = 0; j < k; j++)
+            into->normal[AT(k, j)][lane] = 0;
+    for (int i = 0; i < level->pairs; i++)
+        into->normal[AT(level->pair_bands[2 * i], level->pair_bands[2 * i + 1])][lane] = made[i];
+}
+
 /* Sums of one candidate over all bins, into its lane of the equations. `work` has room for five
  * vectors a block. */
 INLINE void accumulate(const DelayTables *level, const FitRules *rules, const float *counts,
@@ -102,30 +127,19 @@ INLINE void accumulate(const DelayTables *level, const FitRules *rules, const fl
         mine[SLOPE] += slope;
         mine[COUNTS] += count;
     }
-    for (int i = level->meets[phase]; i < level->meets[phase + 1]; i++) {
-        Meeting meeting = level->meetings[i];
-        const float *one = level->data + (size_t)meeting.one * LANES;
-        const float *other = level->data + (size_t)meeting.other * LANES;
-        vec both = {0};
-        for (int v = 0; v < meeting.count; v++)
-            both += load(one + v * LANES) * weights[meeting.block + v] * load(other + v * LANES);
-        pairs[meeting.pair] += both;
-    }
+    add_meetings(level, phase, weights, pairs);
     float made[(COMMON + MOST_BANDS * SUMS + MOST_PAIRS) / LANES * LANES + LANES];
     for (int i = 0; i < used; i += LANES)
         store(made + i, sums(all + i));
     int b = bands, t = bands + 1;
     const float *band_sums = made + COMMON, *pair_sums = band_sums + bands * SUMS;
     for (int k = 0; k < bands; k++, band_sums += SUMS) {
-        for (int j = 0; j < k; j++)
-            into->normal[AT(k, j)][lane] = 0;
         into->normal[AT(k, k)][lane] = band_sums[SELF];
         into->normal[AT(b, k)][lane] = band_sums[WIDTH];
         into->normal[AT(t, k)][lane] = band_sums[SLOPE];
         into->right[k][lane] = band_sums[COUNTS];
     }
-    for (int i = 0; i < level->pairs; i++)
-        into->normal[AT(level->pair_bands[2 * i], level->pair_bands[2 * i + 1])][lane] = pair_sums[i];
+    put_pairs(level, bands, pair_sums, into, lane);
     into->normal[AT(b, b)][lane] = made[BB];
     into->normal[AT(t, b)][lane] = made[TB];
     into->normal[AT(t, t)][lane] = made[TT];

@@ -55,38 +55,30 @@ SIGHT_PHOTONS = 150.0  #: that neighbors of the same color must hold to be bette
 SIGHT_RADII = (3.0, 6.0)  #: of the rounds by color alone, in pixels
 ENOUGH = 1000.0  #: photons that a pool is closed with
 
+#: options that change the result and that the method takes into account
+honors = joint.honors
+
 
 def estimate(
-    counts: NDArray[np.generic],
-    frames: NDArray[np.float64] | None,
+    prepared: PreparedHistogram,
     calibration: Calibration,
+    options: EstimatorOptions,
+    /,
     *,
-    range_correction: bool = False,
-    pileup_correction: bool = True,
-    depth_range: tuple[float, float] | None = None,
     enough: float = ENOUGH,
-    threads: int = 1,
 ) -> Estimates:
     """Estimate depth and reflectance of every pixel with the help of its neighbors.
 
     Parameters
     ----------
-    counts : ndarray, shape (row, col, code)
-        Counts, raw codes on the last axis.
-    frames : ndarray of float, shape (row, col), or None
-        Exposures behind them; None to assume as many as the reference had.
+    prepared : PreparedHistogram
+        The histogram, checked and in time order.
     calibration : Calibration
         Calibration of the same instrument.
-    range_correction : bool
-        Multiply reflectance by (distance / reference distance)².
-    pileup_correction : bool
-        Undo the loss of photons after the first one of an exposure.
-    depth_range : tuple of float, optional
-        Depths to search, m; by default half the spacing of the pulses about the reference.
+    options : EstimatorOptions
+        What was asked for.
     enough : float
         Photons that suffice: a pixel that has them is estimated alone.
-    threads : int
-        Threads that share the rows; the result does not depend on it.
 
     Returns
     -------
@@ -100,7 +92,8 @@ def estimate(
     """
     if not enough > 0:
         raise HueflightError(f"enough = {enough!r}: must be above 0 photons")
-    search_ns = joint.search_range_ns(calibration, depth_range)
+    counts, threads = prepared.counts, options.threads
+    search_ns = joint.search_range_ns(calibration, options.depth_range)
     tables = tables_for(calibration, search_ns)
     seen = photons_of(counts, calibration, tables, threads=threads)
     shape = counts.shape[:2]
@@ -118,26 +111,17 @@ def estimate(
     pooled = _in_metres(
         pools,
         own,
-        frames,
+        prepared.exposures,
         calibration,
         tables,
         search_ns=search_ns,
-        range_correction=range_correction,
-        pileup_correction=pileup_correction,
+        range_correction=options.range_correction,
+        pileup_correction=options.pileup_correction,
     )
     sufficient = calibration.usable & (own >= enough)
     if not sufficient.any():
         return pooled
-    light = calibration.bins.in_time_order(counts).astype(np.float32)
-    light[~sufficient] = 0
-    alone = joint.estimate(
-        light,
-        frames,
-        calibration,
-        range_correction=range_correction,
-        pileup_correction=pileup_correction,
-        depth_range=depth_range,
-    )
+    alone = joint.estimate(prepared, calibration, replace(options, region=sufficient))
     merged = {
         field.name: np.where(sufficient, getattr(alone, field.name), getattr(pooled, field.name))
         for field in fields(Estimates)
@@ -383,26 +367,3 @@ def _in_metres(
         quality=quality,
         resolution=resolution,
     )
-
-
-class _Estimator:
-    """The pooled method, as method ``"pooled"``."""
-
-    honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
-
-    def estimate(
-        self, prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions, /
-    ) -> Estimates:
-        """Estimate an image; see `hueflight.reconstruction.methods.Estimator`."""
-        return estimate(
-            prepared.counts,
-            prepared.exposures,
-            calibration,
-            range_correction=options.range_correction,
-            pileup_correction=options.pileup_correction,
-            depth_range=options.depth_range,
-            threads=options.threads,
-        )
-
-
-ESTIMATOR = _Estimator()

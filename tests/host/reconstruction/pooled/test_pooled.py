@@ -12,6 +12,8 @@ from scipy.ndimage import maximum_filter, median_filter, minimum_filter
 import hueflight as hf
 from hueflight import backend, simulator
 from hueflight.errors import HueflightError
+from hueflight.reconstruction.inputs import prepare_histogram
+from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.pooled.kernels import Likeness, Limits, list_photons, neighbors, pool
 from hueflight.reconstruction.quality import Quality
@@ -30,6 +32,13 @@ def instrument(small):
 @pytest.fixture(scope="module")
 def calibration(instrument, draw):
     return hf.calibrate(draw(instrument, photons=2_000), instrument, distance=0.5)
+
+
+def estimate(counts, calibration, *, enough=few_photons.ENOUGH, threads=1):
+    """What the method itself gives, before it becomes an image."""
+    prepared = dataclasses.replace(prepare_histogram(counts, calibration, None), exposures=None)
+    options = EstimatorOptions(threads=threads)
+    return few_photons.estimate(prepared, calibration, options, enough=enough)
 
 
 def halves(instrument, draw, *, left, right, photons=3.0, seed=0):
@@ -163,13 +172,13 @@ def test_where_no_light_comes_back(instrument, calibration):
 
 def test_the_picture_turns_with_the_scene(instrument, calibration, draw):
     counts = halves(instrument, draw, left=(0.7, ORANGE), right=(1.1, BLUE))
-    plain = few_photons.estimate(counts, None, calibration)
+    plain = estimate(counts, calibration)
     mirror = dataclasses.replace(
         calibration,
         pixel_delay_ns=calibration.pixel_delay_ns[:, ::-1],
         flat_field=calibration.flat_field[:, ::-1],
     )
-    turned = few_photons.estimate(np.ascontiguousarray(counts[:, ::-1]), None, mirror)
+    turned = estimate(np.ascontiguousarray(counts[:, ::-1]), mirror)
     # sums in another order: rounding may close a pool a round later here and there
     apart = np.abs(plain.depth - turned.depth[:, ::-1])
     assert np.quantile(apart, 0.99) < 1e-3
@@ -177,8 +186,8 @@ def test_the_picture_turns_with_the_scene(instrument, calibration, draw):
 
 def test_threads_change_nothing(instrument, calibration, draw):
     counts = halves(instrument, draw, left=(0.7, ORANGE), right=(1.1, BLUE))
-    one = few_photons.estimate(counts, None, calibration)
-    three = few_photons.estimate(counts, None, calibration, threads=3)
+    one = estimate(counts, calibration)
+    three = estimate(counts, calibration, threads=3)
     np.testing.assert_array_equal(one.depth, three.depth)
     np.testing.assert_array_equal(one.reflectance, three.reflectance)
 
@@ -186,13 +195,13 @@ def test_threads_change_nothing(instrument, calibration, draw):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_threads_in_a_forked_process(instrument, calibration, draw):
     counts = halves(instrument, draw, left=(0.7, ORANGE), right=(1.1, BLUE))
-    few_photons.estimate(counts, None, calibration, threads=2)  # its threads wait in this process
+    estimate(counts, calibration, threads=2)  # its threads wait in this process
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # newer Pythons warn of just this
         child = os.fork()
     if child == 0:
         signal.alarm(60)
-        few_photons.estimate(counts, None, calibration, threads=2)
+        estimate(counts, calibration, threads=2)
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
 
@@ -206,7 +215,7 @@ def test_the_compiled_loops_do_the_same(instrument, calibration, draw, monkeypat
     found = {}
     for implementation in ("c", "numpy"):
         monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
-        found[implementation] = few_photons.estimate(counts, None, calibration)
+        found[implementation] = estimate(counts, calibration)
     for name in ("depth", "depth_std", "reflectance", "resolution"):
         fast, slow = getattr(found["c"], name), getattr(found["numpy"], name)
         # a photon on the border of two cells may fall into either
@@ -278,15 +287,15 @@ def test_median_of_nine_is_scipys(shape):
 def test_bad_calls(instrument, calibration, draw, monkeypatch):
     counts = draw(instrument, photons=3)
     with pytest.raises(HueflightError, match="enough = 0"):
-        few_photons.estimate(counts, None, calibration, enough=0)
+        estimate(counts, calibration, enough=0)
     single = dataclasses.replace(
         calibration, bins=dataclasses.replace(calibration.bins, period_ns=None)
     )
     with pytest.raises(HueflightError, match="has no period"):
-        few_photons.estimate(counts, None, single)
+        estimate(counts, single)
     monkeypatch.setenv("HUEFLIGHT_KERNELS", "fortran")
     with pytest.raises(HueflightError, match="HUEFLIGHT_KERNELS = 'fortran'"):
-        few_photons.estimate(counts, None, calibration)
+        estimate(counts, calibration)
 
 
 @pytest.mark.slow

@@ -85,11 +85,12 @@ def test(arguments: list[str]) -> None:
 
 
 def bench(arguments: list[str]) -> None:
-    available = sorted(p.stem for p in (ROOT / "tools" / "bench").glob("*.py") if p.stem[0] != "_")
-    if not arguments or arguments[0] not in available:
-        raise SystemExit(f"which benchmark? one of: {', '.join(available) or 'none yet'}")
-    script = ROOT / "tools" / "bench" / f"{arguments[0]}.py"
-    run([str(BIN / "python"), str(script), *arguments[1:]])
+    folder = ROOT / "tools" / "bench"
+    scripts = {path.stem: path for path in folder.glob("[!_]*.py")}
+    scripts |= {path.parent.name: path.parent for path in folder.glob("*/__main__.py")}
+    if not arguments or arguments[0] not in scripts:
+        raise SystemExit(f"which benchmark? one of: {', '.join(sorted(scripts))}")
+    run([str(BIN / "python"), str(scripts[arguments[0]]), *arguments[1:]])
 
 
 def run_inside(arguments: list[str]) -> None:

@@ -1,0 +1,35 @@
+"""Scenes that obey the model: the reference for everything that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from acceptance import Row
+from outside_model import COLORS, amplitudes, bound_m, calibrated, drawn, expected
+
+import hueflight as hf
+
+DEPTH_M = 1.3
+
+
+def rows(quick: bool) -> Iterator[Row]:
+    """Error against the bound and coverage of the joint fit, for 620 photons."""
+    size = (32, 32) if quick else (96, 64)
+    calibration = calibrated(*size)
+    for number, (name, reflectance) in enumerate(COLORS.items()):
+        light = amplitudes(reflectance, 620)
+        mean = np.ones((*size, 1)) * expected(DEPTH_M, light, 62)
+        image = hf.reconstruct(drawn(mean, np.random.default_rng([1, number])), calibration)
+        error = image["depth"].values - DEPTH_M
+        ratio = np.sqrt(np.mean(error**2)) / bound_m(DEPTH_M, light, 62)
+        cover = (np.abs(error) < image["depth_std"].values).mean()
+        # the standard error of the ratio is 1/sqrt(2 n), 0.9 % of 6144 pixels
+        yield Row(
+            f"clean scene, {name}, 620 photons: RMSE ÷ bound",
+            f"{ratio:.3f}", "≤ 1.1", "1", bool(ratio <= 1.1),
+        )  # fmt: skip
+        yield Row(
+            f"clean scene, {name}, 620 photons: 68 % interval covers",
+            f"{cover:.1%}", "66-70 %", "68.3 %", bool(0.66 <= cover <= 0.70),
+        )  # fmt: skip

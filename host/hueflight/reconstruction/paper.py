@@ -1,8 +1,9 @@
 """The published method: correlation with a reference, centroid, shifted window sums.
 
 It is kept as published: equation (2) subtracts no background. It is the baseline that better
-estimators are compared with. Only the loss of later photons of an exposure, which makes bright
-pixels seem darker than they are, is undone unless asked otherwise. Where counts are whole numbers,
+estimators are compared with. Two things are added. The loss of later photons of an exposure, which
+makes bright pixels seem darker than they are, is undone unless asked otherwise. Pixels that show no
+surface, or one at the end of the searched range, are flagged. Where counts are whole numbers,
 `paper_kernel` computes the same faster.
 """
 
@@ -18,15 +19,18 @@ from scipy.ndimage import correlate1d
 from hueflight.calibration import Calibration, window_sums
 from hueflight.fit.correlation import correlate, peak_centroid
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.paper_kernel import Measured, Search, measure
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.return_test import without_return
 
 #: options that change the result and that the method takes into account
 honors = frozenset({"range_correction", "pileup_correction"})
 
+END_BINS = 0.5  #: a delay so near the end of the searched range was cut off there
 TILE_PIXELS = 512  #: pixels correlated at once: their spectra stay in the cache
 
 
@@ -61,6 +65,8 @@ def estimate(
     background = np.where(outside_windows(calibration).any(), np.zeros((rows, cols)), np.nan)
     sums = np.full((len(calibration.instrument.bands), rows, cols), np.nan)
     pixels = np.flatnonzero(known)
+    rates = photons_per_period(known, frames, calibration.instrument) if pileup_correction else None
+    light = coates_correction(light, rates)
     measured = _measured(light.reshape(rows * cols, count), pixels, known, calibration)
     kept = chosen.ravel()[pixels]
     delay_bins[chosen] = measured.delay[kept]
@@ -79,11 +85,22 @@ def estimate(
         # every exposure held a photon: how many were lost can't be known
         quality[usable & (known >= frames)] |= int(Quality.SATURATED)
     # no better than a guess within the range searched: a uniform guess has range/√12
-    blind = 2 * search_bins(calibration) * along_axis / np.sqrt(12)
-    low_signal = usable & ~(depth_std < blind)
-    quality[low_signal] |= int(Quality.LOW_SIGNAL)
+    search = search_bins(calibration)
+    low_signal = usable & ~(depth_std < 2 * search * along_axis / np.sqrt(12))
+    whole = np.rint(delay_bins[chosen] + calibration.pixel_delay[chosen]).astype(np.intp)
+    absent = without_return(prepared, calibration, options, chosen, sums[:, chosen], whole)
+    # a reference at the distance 0 does not tell where the camera is
+    behind = (calibration.distance > 0) & (depth <= 0)
+    outside = chosen & ((np.abs(delay_bins) >= search - END_BINS) | behind) & ~absent
+    flags = {
+        Quality.LOW_SIGNAL: low_signal,
+        Quality.NO_RETURN: absent,
+        Quality.OUT_OF_RANGE: outside,
+    }
+    for flag, flagged in flags.items():
+        quality[flagged] |= int(flag)
     for plane in (depth, depth_std, *sums):
-        plane[low_signal] = np.nan
+        plane[low_signal | absent | outside] = np.nan
 
     scale = calibration.photon_scale(known, frames, pileup_correction=pileup_correction)
     if options.range_correction:

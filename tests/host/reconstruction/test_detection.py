@@ -29,10 +29,13 @@ def has_flag(image, flag: Quality) -> np.ndarray:
     return (image["quality"].values & int(flag)) > 0
 
 
+@pytest.mark.parametrize("method", ["joint", "paper"])
 @pytest.mark.parametrize("photons", [10, 100, 1000, 10_000, 100_000])
-def test_background_alone_is_no_surface(instrument, calibration, draw, photons: int) -> None:
+def test_background_alone_is_no_surface(
+    instrument, calibration, draw, photons: int, method: str
+) -> None:
     counts = draw(instrument, photons=1e-9, background=photons, seed=photons)
-    image = hf.reconstruct(counts, calibration)
+    image = hf.reconstruct(counts, calibration, method=method)
     shown = image["quality"].values == 0
     assert shown.sum() <= FALSE_ALARMS
     absent = has_flag(image, Quality.NO_RETURN)
@@ -41,22 +44,24 @@ def test_background_alone_is_no_surface(instrument, calibration, draw, photons: 
     assert np.isfinite(image["background"].values[absent]).all()
 
 
+@pytest.mark.parametrize("method", ["joint", "paper"])
 @pytest.mark.parametrize("background", [10.0, 1000.0])
 def test_a_surface_that_can_be_located_is_not_missed(
-    instrument, calibration, draw, background: float
+    instrument, calibration, draw, background: float, method: str
 ) -> None:
     photons = 50.0
     while hf.depth_bound(calibration, photons=photons, background=background) > 0.07:
         photons *= 1.1
     counts = draw(instrument, depth=0.9, photons=photons, background=background, seed=3)
-    image = hf.reconstruct(counts, calibration)
+    image = hf.reconstruct(counts, calibration, method=method)
     # the limit of the requirement is 0.1 %; 7 of 2304 are exceeded by chance once in 1e3 tests
     assert has_flag(image, Quality.NO_RETURN).sum() <= 7
 
 
-def test_bright_surfaces_carry_no_flag(instrument, calibration, draw) -> None:
+@pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
+def test_bright_surfaces_carry_no_flag(instrument, calibration, draw, method: str) -> None:
     counts = draw(instrument, depth=0.9, photons=620, background=62, seed=4)
-    quality = hf.reconstruct(counts, calibration)["quality"].values
+    quality = hf.reconstruct(counts, calibration, method=method)["quality"].values
     assert not (quality & ~np.uint16(Quality.MISFIT)).any()  # which has false alarms of its own
 
 
@@ -93,10 +98,21 @@ def test_counts_that_no_pulse_explains_give_no_depth_behind_the_camera(
     for code in (1, 100, 300, 499):
         broken = counts.copy()
         broken[..., code] += 3000
-        image = hf.reconstruct(broken, calibration)
-        depth = image["depth"].values
-        assert not (depth <= 0).any()
-        assert (image["quality"].values[np.isnan(depth)] > 0).all()
+        for method in ("joint", "paper"):
+            image = hf.reconstruct(broken, calibration, method=method)
+            depth = image["depth"].values
+            assert not (depth <= 0).any()
+            assert (image["quality"].values[np.isnan(depth)] > 0).all()
+
+
+def test_the_published_method_flags_what_lies_beyond_its_search(
+    instrument, calibration, draw
+) -> None:
+    for depth in (2.65, 3.0):  # half the spacing of the pulses is 2.25 m beyond the reference
+        counts = draw(instrument, depth=depth, photons=2000, background=20, seed=6)
+        image = hf.reconstruct(counts, calibration, method="paper")
+        assert has_flag(image, Quality.OUT_OF_RANGE).mean() > 0.99
+        assert (np.isnan(image["depth"].values) == has_flag(image, Quality.OUT_OF_RANGE)).all()
 
 
 def test_a_reference_at_distance_0_does_not_tell_where_the_camera_is(instrument, draw) -> None:

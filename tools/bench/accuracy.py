@@ -35,15 +35,17 @@ Results = dict[Cell, Outcome]
 
 
 def joint(histogram: NDArray[np.uint32], calibration: hf.Calibration):
-    return hf.reconstruct(histogram, calibration, method="joint")
+    return hf.reconstruct(histogram, calibration, method="joint", range_correction=False)
 
 
 def paper(histogram: NDArray[np.uint32], calibration: hf.Calibration):
-    return hf.reconstruct(histogram, calibration, method="paper")
+    return hf.reconstruct(histogram, calibration, method="paper", range_correction=False)
 
 
 def joint_with(skips: Skips) -> Estimator:
-    return lambda histogram, calibration: hf.reconstruct(histogram, calibration, skips=skips)
+    return lambda histogram, calibration: hf.reconstruct(
+        histogram, calibration, skips=skips, range_correction=False
+    )
 
 
 def phasor(histogram: NDArray[np.uint32], calibration: hf.Calibration) -> Estimate:

@@ -147,7 +147,12 @@ def scene(fig1: Fig1, write: bool) -> None:
         ("paper", 400 * FRAMES, (5,)),
     ):
         shots = [
-            hf.reconstruct(fig1.capture(frames, seed=seed), fig1.calibration, method=method)
+            hf.reconstruct(
+                fig1.capture(frames, seed=seed),
+                fig1.calibration,
+                method=method,
+                range_correction=False,
+            )
             for seed in seeds
         ]
         images[method, frames] = shots[0]

@@ -10,6 +10,7 @@ from scipy.special import chdtrc, ndtr
 from hueflight.analysis.regions import reliable
 from hueflight.errors import HueflightError
 from hueflight.files.image_schema import finite
+from hueflight.reconstruction.range_correction import require_same_range_correction
 
 
 def compare(
@@ -36,8 +37,8 @@ def compare(
     Raises
     ------
     HueflightError
-        If the images come from different instruments or differ in shape or bands, or the rate lies
-        outside 0..1.
+        If the images come from different instruments or differ in shape, bands or range
+        correction, or the rate lies outside 0..1.
 
     Notes
     -----
@@ -151,6 +152,7 @@ def _difference(
 
 
 def _require_comparable(before: xr.Dataset, after: xr.Dataset) -> None:
+    require_same_range_correction([before, after])
     made_by = [image.attrs.get("instrument_fingerprint") for image in (before, after)]
     if made_by[0] != made_by[1]:
         names = [image.attrs.get("instrument") for image in (before, after)]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from hueflight.errors import HueflightError
 from hueflight.files.image_schema import SERIES_DIM, finite
+from hueflight.reconstruction.range_correction import require_same_range_correction
 
 SHARED = ("instrument", "instrument_fingerprint")  #: must agree within a series
 
@@ -40,8 +41,8 @@ def stack(
     Raises
     ------
     HueflightError
-        If there are no images, their instruments or shapes differ, or there is not one name or time
-        for each image.
+        If there are no images, their instruments, shapes or range corrections differ, or there is
+        not one name or time for each image.
     """
     if not images:
         raise HueflightError("a series needs at least one image")
@@ -58,6 +59,7 @@ def stack(
                 f"image {number} holds {sorted(map(str, image))} of {dict(image.sizes)}, image 0 "
                 f"{sorted(map(str, first))} of {dict(first.sizes)}: reconstruct them alike"
             )
+    require_same_range_correction(images)
     labels = list(names) if names is not None else [str(number) for number in range(len(images))]
     if len(labels) != len(images):
         raise HueflightError(f"{len(labels)} names for {len(images)} images")

@@ -13,6 +13,7 @@ import xarray as xr
 from hueflight.errors import HueflightError
 from hueflight.files.image_schema import instrument_of, require_image
 from hueflight.model.instrument import Instrument
+from hueflight.reconstruction.range_correction import range_correction_of
 
 
 def transmittance(image: xr.Dataset, /, *, instrument: Instrument | None = None) -> xr.Dataset:
@@ -22,7 +23,8 @@ def transmittance(image: xr.Dataset, /, *, instrument: Instrument | None = None)
     ----------
     image : Dataset
         Image reconstructed from a capture through the sample, with a calibration whose reference is
-        the light without it; both with the same setup.
+        the light without it; both with the same setup. Reconstruct it with
+        ``range_correction=False``.
     instrument : Instrument or None
         Instrument whose lens gives the directions of the rays; None to read it from the image.
 
@@ -42,10 +44,10 @@ def transmittance(image: xr.Dataset, /, *, instrument: Instrument | None = None)
         distance, or does not say its reference distance.
     """
     require_image(image)
-    if image.attrs.get("range_correction"):
+    if range_correction_of(image) not in (None, "none"):
         raise HueflightError(
-            "the image was reconstructed with range_correction: a sample's delay is no distance; "
-            "reconstruct again without it"
+            "the image was reconstructed with range correction, but the delay in a sample is no "
+            "distance: reconstruct it with range_correction=False (--no-range-correction)"
         )
     if "reference_distance_m" not in image.attrs:
         raise HueflightError("the image does not say its reference_distance_m")

@@ -87,6 +87,8 @@ class Job:
         ]
         # the number of threads changes no result
         options = {name: value for name, value in self.options.items() if name != "threads"}
+        # named even where it is the default, because that has changed since version 0.1.0
+        options.setdefault("range_correction", None)
         parts = [files, self.calibration_digest, options, self.software]
         if self.reading != ReadOptions():
             parts.append(asdict(self.reading))

@@ -35,7 +35,7 @@ def reconstruct(
             help=f"Reconstruction method: {METHOD_NAMES}. By default joint, the most accurate."
         ),
     ] = None,
-    range_correction: bool = False,
+    range_correction: bool | None = None,
     pileup_correction: bool = True,
     depth_range: Annotated[tuple[float, float] | None, Parameter(negative_iterable=())] = None,
     frames: float | None = None,
@@ -68,9 +68,10 @@ def reconstruct(
         receives one image NAME.zarr for each capture.
     method : str, optional
         Reconstruction method.
-    range_correction : bool, default False
+    range_correction : bool, optional
         Multiply reflectance by the squared ratio of the distances of object and calibration
-        target.
+        target, so that it does not depend on the distance. By default wherever the distance of the
+        calibration target is known; --no-range-correction gives the signal as it arrives.
     pileup_correction : bool, default True
         Correct for photons that an exposure missed because an earlier one had been detected.
     depth_range : tuple of float, optional
@@ -120,12 +121,10 @@ def reconstruct(
         raise HueflightError("no captures: name at least one recording or file of counts")
     if threads < 1:
         raise HueflightError(f"--threads {threads}: at least one thread is needed")
-    options: dict[str, Any] = {
-        "range_correction": range_correction,
-        "pileup_correction": pileup_correction,
-    }
+    options: dict[str, Any] = {"pileup_correction": pileup_correction}
     given = {
         "method": method,
+        "range_correction": range_correction,
         "depth_range": depth_range,
         "frames": frames,
         "bands": None if bands is None else [name.strip() for name in bands.split(",")],

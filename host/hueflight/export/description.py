@@ -153,6 +153,9 @@ def plain_attributes(image: xr.Dataset) -> dict[str, str]:
         f"{name} {wavelength:g} nm"
         for name, wavelength in zip(band_names(image), image["wavelength"].values, strict=True)
     )
+    correction = image["reflectance"].attrs.get("range_correction")
+    if correction is not None:
+        flat["reflectance.range_correction"] = str(correction)
     flat["units"] = "; ".join(
         f"{name} [{variable.attrs.get('units', '1')}]" for name, variable in image.data_vars.items()
     )

@@ -25,6 +25,7 @@ from hueflight.reconstruction.options import (
     region_mask,
 )
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.range_correction import resolve
 
 __all__ = ["METHODS", "reconstruct", "reconstruct_packets"]
 
@@ -37,7 +38,7 @@ def reconstruct(
     method: str = "joint",
     depth_range: tuple[float, float] | None = None,
     frames: ArrayLike | None = None,
-    range_correction: bool = False,
+    range_correction: bool | None = None,
     pileup_correction: bool = True,
     bands: Sequence[str | int] | None = None,
     region: Region | None = None,
@@ -62,8 +63,10 @@ def reconstruct(
     frames : array_like, shape (row, col), or float, optional
         Exposures behind the histogram; by default the sum over codes where the sensor reports its
         empty exposures, else as many as the reference had.
-    range_correction : bool
-        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    range_correction : bool, optional
+        Multiply reflectance by the squared ratio of the distance to that of the reference, so that
+        it does not depend on the distance. By default wherever the calibration knows the distance
+        of the reference. ``image.reflectance.attrs["range_correction"]`` says which was done.
     pileup_correction : bool
         Undo the loss of later photons of an exposure, where the sensor reports its empty exposures
         or `frames` says how many there were.
@@ -91,15 +94,17 @@ def reconstruct(
         If the histogram does not fit the calibration's instrument or is empty, or if there is no
         such method, region or band.
     HueflightError
-        If the method can't take an option into account.
+        If the method can't take an option into account, or range correction is asked for and the
+        distance of the reference is not known.
     """
     estimator = find_method(method)
     prepared = prepare_histogram(histogram, calibration, frames)
     wanted = region_mask(region, calibration.instrument.image_shape)
     numbers = band_numbers(bands, calibration)
+    corrected = resolve(range_correction, calibration, honors=estimator.honors)
     options = EstimatorOptions(
         depth_range=depth_range,
-        range_correction=range_correction,
+        range_correction=corrected,
         pileup_correction=pileup_correction,
         region=wanted,
         skips=skips,
@@ -109,7 +114,7 @@ def reconstruct(
     estimates = estimator.estimate(prepared, calibration, options)
     estimates.quality[prepared.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
-    image = as_image(estimates, calibration, method=method)
+    image = as_image(estimates, calibration, method=method, range_correction=corrected)
     return image if bands is None else image.isel(band=numbers)
 
 
@@ -120,6 +125,7 @@ def reconstruct_packets(
     *,
     out: Counts | None = None,
     depth_range: tuple[float, float] | None = None,
+    range_correction: bool | None = None,
     pileup_correction: bool = True,
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
@@ -137,6 +143,8 @@ def reconstruct_packets(
         memory takes.
     depth_range : tuple of float, optional
         Nearest and farthest depth to search, m; see `reconstruct`.
+    range_correction : bool, optional
+        Correct reflectance for the distance; see `reconstruct`.
     pileup_correction : bool
         Undo the loss of later photons of an exposure.
     skips : Skips
@@ -169,6 +177,7 @@ def reconstruct_packets(
         counts,
         calibration,
         depth_range=depth_range,
+        range_correction=range_correction,
         pileup_correction=pileup_correction,
         skips=skips,
         threads=threads,

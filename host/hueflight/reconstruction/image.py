@@ -12,6 +12,7 @@ import xarray as xr
 from hueflight.calibration import Calibration
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.quality import flag_attributes
+from hueflight.reconstruction.range_correction import attributes as correction_attributes
 
 UNITS = {
     "depth": "m",
@@ -29,7 +30,6 @@ LONG_NAMES = {
     "depth": "distance from the camera along the optical axis",
     "depth_std": "standard deviation of depth",
     "other_depth": "second depth that is nearly as likely, of pixels flagged ambiguous",
-    "reflectance": "reflectance relative to the reference target",
     "reflectance_std": "standard deviation of reflectance",
     "background": "counts per code that the pulses do not explain",
     "photons": "photons in the pixel's histogram",
@@ -39,7 +39,9 @@ LONG_NAMES = {
 }
 
 
-def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> xr.Dataset:
+def as_image(
+    estimates: Estimates, calibration: Calibration, *, method: str, range_correction: bool
+) -> xr.Dataset:
     """Return estimates as a labeled image.
 
     Parameters
@@ -50,6 +52,8 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
         Calibration that it used.
     method : str
         Name of the method.
+    range_correction : bool
+        Whether the reflectances were corrected for the distance.
 
     Returns
     -------
@@ -64,7 +68,11 @@ def as_image(estimates: Estimates, calibration: Calibration, *, method: str) -> 
             continue
         dims = cube if values.ndim == 3 else plane
         ordered = np.moveaxis(values, 0, -1) if values.ndim == 3 else values
-        attributes = {"units": unit, "long_name": LONG_NAMES[name]}
+        attributes = {"units": unit}
+        if name == "reflectance":
+            attributes |= correction_attributes(range_correction)
+        else:
+            attributes["long_name"] = LONG_NAMES[name]
         variables[name] = (dims, ordered.astype(np.float32), attributes)
     variables["quality"] = (
         plane,

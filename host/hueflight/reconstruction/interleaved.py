@@ -29,6 +29,7 @@ from hueflight.model.undersampling import smooth_undersampled
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.joint import in_metres, search_range_ns
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.range_correction import resolve
 
 _Key = tuple[object, ...]
 _kept_tables: WeakKeyDictionary[Calibration, dict[_Key, tuple[Calibration, ModelTables]]] = (
@@ -43,7 +44,7 @@ def reconstruct_interleaved(
     *,
     depth_range: tuple[float, float] | None = None,
     frames: Sequence[ArrayLike] | None = None,
-    range_correction: bool = False,
+    range_correction: bool | None = None,
     pileup_correction: bool = True,
     switches: FitOptions = DEFAULT,
 ) -> xr.Dataset:
@@ -63,8 +64,8 @@ def reconstruct_interleaved(
     frames : sequence of array_like, optional
         Exposures behind each histogram, numbers or arrays (row, col); by default the sum over codes
         where the sensor reports its empty exposures.
-    range_correction : bool
-        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    range_correction : bool, optional
+        Correct reflectance for the distance; see `reconstruct`.
     pileup_correction : bool
         Undo the loss of later photons of an exposure, where the number of exposures is known.
     switches : FitOptions
@@ -82,6 +83,8 @@ def reconstruct_interleaved(
         If a histogram does not fit its calibration's instrument, or is empty.
     CalibrationError
         If the calibrations differ in more than the delays of the LEDs.
+    HueflightError
+        If range correction is asked for and the distance of the reference is not known.
     """
     _check_calibrations(calibrations, len(histograms))
     given = [None] * len(histograms) if frames is None else list(frames)
@@ -123,6 +126,7 @@ def reconstruct_interleaved(
             rates = photons_per_period(hits, exposure, common.instrument)
             if rates is not None:
                 leave_unassessed(found, rates[chosen])
+    corrected = resolve(range_correction, common)
     estimates = in_metres(
         found,
         chosen,
@@ -130,13 +134,13 @@ def reconstruct_interleaved(
         total,
         common,
         search_ns=search_ns,
-        range_correction=range_correction,
+        range_correction=corrected,
         pileup_correction=pileup_correction,
         assessed=assessed,
     )
     for count in counts:
         estimates.quality[counters_full(count)] |= int(Quality.SATURATED)
-    image = as_image(estimates, common, method="joint")
+    image = as_image(estimates, common, method="joint", range_correction=corrected)
     return image.assign_attrs(schedules=len(calibrations))
 
 

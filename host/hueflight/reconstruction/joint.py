@@ -29,6 +29,7 @@ from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.range_correction import relative_range, widened
 
 #: options that change the result and that the method takes into account
 honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
@@ -308,15 +309,17 @@ def in_metres(
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
     if range_correction:
         guess = calibration.distance + plane(found.delay_ns, told=False) * along_axis
-        ratio = guess / calibration.distance if has_target else np.full_like(depth, np.nan)
-        scale = scale * ratio**2
+        scale = scale * relative_range(guess, calibration) ** 2
     gain = scale[chosen][:, None] / calibration.brightness
+    reflectance, reflectance_std = plane(gain * found.amplitudes), plane(gain * found.amplitude_std)
+    if range_correction:
+        reflectance_std = widened(reflectance_std, reflectance, depth, depth_std)
     return Estimates(
         depth=depth,
         depth_std=depth_std,
         other_depth=other,
-        reflectance=plane(gain * found.amplitudes),
-        reflectance_std=plane(gain * found.amplitude_std),
+        reflectance=reflectance,
+        reflectance_std=reflectance_std,
         background=plane(found.background, told=False)
         * calibration.bin_width_ns
         / calibration.bins.span_ns,

@@ -22,6 +22,7 @@ from hueflight.errors import ImageError
 from hueflight.files.image_schema import SERIES_DIM, require_image
 from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.quality import Quality, flag_attributes
+from hueflight.reconstruction.range_correction import relative_signal
 
 WINDOW = 5  #: rows and columns of the window about a pixel
 RANK = 3  #: the extremes start from the depth of this rank, which one outlier does not change
@@ -221,10 +222,9 @@ def flag_mixed(
     if not (isfinite(angle) and angle > 0):
         raise ImageError(f"pixel_angle = {angle!r}: give the angle between pixels in radians")
     planes = image.transpose("band", "row", "col")
-    values = {
-        name: planes[name].values.astype(np.float64)
-        for name in ("depth", "depth_std", "reflectance", "reflectance_std")
-    }
+    values = {name: planes[name].values.astype(np.float64) for name in ("depth", "depth_std")}
+    # the light of two surfaces adds up as it arrives, so that a correction for range is undone
+    values["reflectance"], values["reflectance_std"] = relative_signal(image, calibration)
     quality = planes["quality"].values
     values["depth"][(quality & int(Quality.AMBIGUOUS)) != 0] = np.nan
     found = find_mixed(values["depth"], values["depth_std"], angle)

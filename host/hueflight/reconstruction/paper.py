@@ -25,6 +25,7 @@ from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.paper_kernel import Measured, Search, measure
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.range_correction import relative_range, widened
 from hueflight.reconstruction.return_test import without_return
 
 #: options that change the result and that the method takes into account
@@ -104,14 +105,18 @@ def estimate(
 
     scale = calibration.photon_scale(known, frames, pileup_correction=pileup_correction)
     if options.range_correction:
-        scale = scale * np.square(_range_ratio(depth, calibration))
+        scale = scale * relative_range(depth, calibration) ** 2
     gain = calibration.gain[:, None, None] * scale
+    reflectance = gain * sums
+    # Poisson; one count at least, so that an empty window does not claim certainty
+    reflectance_std = gain * np.sqrt(np.maximum(sums, 1))
+    if options.range_correction:
+        reflectance_std = widened(reflectance_std, reflectance, depth, depth_std)
     return Estimates(
         depth=depth,
         depth_std=depth_std,
-        reflectance=gain * sums,
-        # Poisson; one count at least, so that an empty window does not claim certainty
-        reflectance_std=gain * np.sqrt(np.maximum(sums, 1)),
+        reflectance=reflectance,
+        reflectance_std=reflectance_std,
         background=background,
         photons=known,
         quality=quality,
@@ -281,11 +286,6 @@ def _rolled(light: NDArray[np.floating], shift: NDArray[np.intp]) -> NDArray[np.
     count = light.shape[-1]
     index = (np.arange(count) - shift[:, None]) % count
     return np.take_along_axis(np.asarray(light, np.float32), index, axis=-1)
-
-
-def _range_ratio(depth: NDArray[np.float64], calibration: Calibration) -> NDArray[np.float64]:
-    """Distance over reference distance; the angle of the ray cancels."""
-    return depth / calibration.distance if calibration.distance > 0 else np.full_like(depth, np.nan)
 
 
 def outside_windows(calibration: Calibration) -> NDArray[np.bool_]:

@@ -29,6 +29,7 @@ from hueflight.reconstruction.joint import (
 )
 from hueflight.reconstruction.options import DEFAULT_SKIPS, Skips
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.range_correction import resolve
 
 
 @dataclass
@@ -56,8 +57,8 @@ class Video:
         pixel of every image.
     depth_range : tuple of float, optional
         Nearest and farthest depth to search, m; see `reconstruct`.
-    range_correction : bool
-        Multiply reflectance by the squared ratio of the distance to that of the reference.
+    range_correction : bool, optional
+        Correct reflectance for the distance; see `reconstruct`.
     pileup_correction : bool
         Undo the loss of later photons of an exposure.
     skips : Skips
@@ -68,7 +69,8 @@ class Video:
     Raises
     ------
     HueflightError
-        If `change_sigma` is negative or not finite.
+        If `change_sigma` is negative or not finite, or range correction is asked for and the
+        distance of the reference is not known.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class Video:
         *,
         change_sigma: float = 4.0,
         depth_range: tuple[float, float] | None = None,
-        range_correction: bool = False,
+        range_correction: bool | None = None,
         pileup_correction: bool = True,
         skips: Skips = DEFAULT_SKIPS,
         threads: int = 1,
@@ -90,7 +92,7 @@ class Video:
         self._search_ns = search_range_ns(calibration, depth_range)
         self._tables = tables_for_calibration(calibration, self._search_ns)
         self._corrections = {
-            "range_correction": range_correction,
+            "range_correction": resolve(range_correction, calibration),
             "pileup_correction": pileup_correction,
         }
         self._skips = skips
@@ -137,7 +139,12 @@ class Video:
         quality = kept.estimates.quality.copy()
         quality[calibration.usable & ~changed] |= int(Quality.SKIPPED)
         quality[seen.full] |= int(Quality.SATURATED)
-        return as_image(replace(kept.estimates, quality=quality), calibration, method="joint")
+        return as_image(
+            replace(kept.estimates, quality=quality),
+            calibration,
+            method="joint",
+            range_correction=self._corrections["range_correction"],
+        )
 
     def _fitted(
         self,

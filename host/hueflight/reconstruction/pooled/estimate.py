@@ -47,6 +47,7 @@ from hueflight.reconstruction.pooled.kernels import (
 )
 from hueflight.reconstruction.pooled.tables import Tables, tables_for
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.range_correction import relative_range, widened
 
 LAG_PER_FWHM = 0.28  #: between delays of the pilot, in pulses of the shortest band
 PILOT_PHOTONS = 300.0  #: in the square of the pilot
@@ -342,10 +343,11 @@ def _in_metres(
     photons = pools.windows.sum(axis=0).astype(np.float64)
     scale = calibration.photon_scale(photons, frames, pileup_correction=pileup_correction)
     if range_correction:
-        ratio = depth / calibration.distance if calibration.distance > 0 else np.nan * depth
-        scale = scale * ratio**2
+        scale = scale * relative_range(depth, calibration) ** 2
     gain = scale / calibration.brightness[:, None, None]
     reflectance, reflectance_std = gain * unmixed[:-1], gain * np.sqrt(variance[:-1])
+    if range_correction:
+        reflectance_std = widened(reflectance_std, reflectance, depth, depth_std)
 
     quality = np.zeros(own.shape, np.uint16)
     quality[calibration.dead] |= int(Quality.DEAD)

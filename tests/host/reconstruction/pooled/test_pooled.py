@@ -137,7 +137,9 @@ def test_a_step_of_one_colour_is_kept(instrument, calibration, draw):
 
 def test_reflectance_is_that_of_many_photons(instrument, calibration, draw):
     counts = draw(instrument, depth=0.5, photons=4, background=0.4, reflectance=BLUE, frames=1000)
-    image = hf.reconstruct(counts, calibration, method="pooled", frames=1000)
+    image = hf.reconstruct(
+        counts, calibration, method="pooled", frames=1000, range_correction=False
+    )
     # `draw` scales the colour to the photons asked for; the reference had 2000 of white
     white = instrument.band_brightness()
     expected = np.array(BLUE) * 4 / (white @ np.array(BLUE)) * white.sum() / 2000 * 1000

@@ -1,6 +1,7 @@
-"""Analysis of images: regions, profiles, differences, series, spectral libraries, transmittance."""
+"""Analysis of images: regions, profiles, differences, series, libraries, light, transmittance."""
 
 from hueflight.analysis.comparison import compare, spectral_angle
+from hueflight.analysis.flat_field import flatten, illumination_pattern
 from hueflight.analysis.library import SpectralLibrary, match
 from hueflight.analysis.profiles import profile
 from hueflight.analysis.regions import parse_region, region_spectra, reliable
@@ -12,6 +13,8 @@ __all__ = [
     "SpectralLibrary",
     "compare",
     "delta_e_2000",
+    "flatten",
+    "illumination_pattern",
     "lab",
     "match",
     "parse_region",

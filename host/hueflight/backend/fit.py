@@ -111,13 +111,12 @@ TABLES = (
     Buffer("view_bins", "int32", "(view,) sensor's bins"),
     *_level_buffers("fine"),
     *_level_buffers("wide"),
-    Buffer(
-        "search_spans", "int32", "(block, band, 3) first bin, one past the last, place in gains"
-    ),
+    Buffer("search_span_places", "int32", "(lag block · band + 1,) first span of each"),
+    Buffer("search_spans", "int32", "(span, 3) first bin, one past the last, place in gains"),
     Buffer("search_gains", "float32", "(ratio, lane) for each bin of a span"),
     Buffer("search_costs", "float32", "(block, band, ratio, lane)"),
     Buffer("search_places", "int32", "(lag + 1,) first run of each lag"),
-    Buffer("search_runs", "int16", "(run, 3) band, first bin, one past the last"),
+    Buffer("search_runs", "int32", "(run, 3) band, first bin, one past the last"),
     Buffer("search_widths", "float32", "(lag, band) share of the background in a band's zone"),
     Buffer("search_shares", "float32", "(lag, band) share of a band in its zone"),
 )

@@ -53,7 +53,8 @@ def find_hot(
         True for a hot pixel.
     """
     shape = pooled - pooled.mean()
-    centred = light @ shape  # the mean of `light` falls out: shape sums to 0
+    # row by row, as doubles; the mean of `light` falls out: shape sums to 0
+    centred = np.stack([row @ shape for row in light])
     count = light.shape[-1]
     variance = np.einsum("...b,...b->...", light, light) - light.sum(axis=-1) ** 2 / count
     spread = np.sqrt(np.maximum(variance, 0) * (shape @ shape))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 from scipy.ndimage import gaussian_filter1d
 
 from hueflight.errors import CalibrationError
@@ -129,11 +130,11 @@ def _train_shift(
     # square roots, so that one bright band does not outvote the pattern of all
     shifts = np.arange(-(bins.count // 2), bins.count - bins.count // 2)
     amplitude = np.sqrt(light)
-    if bins.period_ns is None:
-        padded = np.pad(amplitude, bins.count)
-        scores = [padded[bins.count + s :][: bins.count] @ train for s in shifts]
-    else:
-        scores = [np.roll(amplitude, -s) @ train for s in shifts]
+    length = bins.count
+    if bins.period_ns is None:  # nothing comes around
+        length = fft.next_fast_len(2 * bins.count, real=True)
+    spectrum = fft.rfft(amplitude, length) * np.conj(fft.rfft(train, length))
+    scores = fft.irfft(spectrum, length)[shifts % length]
     return int(shifts[np.argmax(scores)])
 
 

@@ -11,12 +11,12 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.fit.correlation import correlate, peak_centroid
     from hueflight.fit.detection import log_likelihood_ratio
     from hueflight.fit.reference import Fit, FitOptions, fit
+    from hueflight.fit.search_tables import SearchTables
     from hueflight.fit.solver import fit_pixels
     from hueflight.fit.tables import (
         DelayTables,
         ModelTables,
         ScheduleView,
-        SearchTables,
         detection_threshold,
         make_tables,
     )
@@ -28,7 +28,7 @@ _HOME = {
     "FitOptions": "hueflight.fit.reference",
     "ModelTables": "hueflight.fit.tables",
     "ScheduleView": "hueflight.fit.tables",
-    "SearchTables": "hueflight.fit.tables",
+    "SearchTables": "hueflight.fit.search_tables",
     "correlate": "hueflight.fit.correlation",
     "detection_threshold": "hueflight.fit.tables",
     "fit": "hueflight.fit.reference",

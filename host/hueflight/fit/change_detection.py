@@ -95,7 +95,7 @@ def change_significance(
     most = np.maximum(most, _ratio(along, across))
     nearest = np.abs(search.lags_ns - delays_ns[:, None]).argmin(axis=-1)
     for lag, chosen in by_phase(nearest):
-        zones = search.zones[:, :, lag].T
+        zones = search.zones(lag).T
         ratio = _ratio(gap[chosen] @ zones, size[chosen] @ zones)
         most[chosen] = np.maximum(most[chosen], ratio.max(axis=-1))
     return np.sqrt(most)

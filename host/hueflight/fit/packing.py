@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 
 from hueflight.backend.fit import FIT_RULES, TABLE_SIZES
 from hueflight.fit import assessment, detection, reference
-from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables, SearchTables
+from hueflight.fit.search_tables import RATIOS, SearchTables
+from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables
+from hueflight.fit.tiles import TILE_BINS, Tiles
+
+SPAN_GAP = 4  #: bins without gain between two spans of the search that are kept apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +62,9 @@ class PackedSearch:
 
     Attributes
     ----------
-    spans : ndarray of int32, shape (vector, band, 3)
+    span_places : ndarray of int32, shape (vector · band + 1,)
+        First span of each band at each vector of lags.
+    spans : ndarray of int32, shape (span, 3)
         First bin, one past the last, and place in `gains`.
     gains : ndarray of float32
         Values (ratio, lane) for each bin of a span.
@@ -66,17 +72,18 @@ class PackedSearch:
         Costs of the background; see `SearchTables`.
     places : ndarray of int32, shape (lag + 1,)
         First run of each lag.
-    runs : ndarray of int16, shape (run, 3)
+    runs : ndarray of int32, shape (run, 3)
         Zone of a band: band, first bin, one past the last.
     widths, shares : ndarray of float32, shape (lag, band)
         Share of the background and of the band in its zone.
     """
 
+    span_places: NDArray[np.int32]
     spans: NDArray[np.int32]
     gains: NDArray[np.float32]
     costs: NDArray[np.float32]
     places: NDArray[np.int32]
-    runs: NDArray[np.int16]
+    runs: NDArray[np.int32]
     widths: NDArray[np.float32]
     shares: NDArray[np.float32]
 
@@ -229,88 +236,147 @@ def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """Tiles cut to vectors: of each its phase, band, block and row of `values`, sorted so."""
+
+    phase: NDArray[np.int64]
+    band: NDArray[np.int64]
+    block: NDArray[np.int64]
+    row: NDArray[np.int64]
+    values: tuple[NDArray[np.floating], NDArray[np.floating]]  # shares and slopes, (row, lane)
+
+
+def _parts(tiles: Tiles, lanes: int, *, skip_dark: bool) -> _Parts:
+    several = TILE_BINS // lanes
+    values = tuple(table.reshape(-1, lanes) for table in (tiles.shares, tiles.slopes))
+    lit = np.asarray(values[0].any(axis=-1)) | np.asarray(values[1].any(axis=-1))
+    within = np.arange(several)
+    row = (tiles.row[:, None].astype(np.int64) * several + within).ravel()
+    block = (tiles.block[:, None].astype(np.int64) * several + within).ravel()
+    phases = tiles.places.size - 1
+    phase = np.repeat(np.arange(phases), several * np.diff(tiles.places))
+    band = np.repeat(tiles.band.astype(np.int64), several)
+    if not skip_dark:
+        blocks = -(-tiles.bins // lanes)
+        everywhere = np.full((phases, tiles.bands, blocks), lit.size)  # a row of zeros
+        seen = block < blocks
+        everywhere[phase[seen], band[seen], block[seen]] = row[seen]
+        phase, band, block = (i.ravel() for i in np.indices(everywhere.shape))
+        none = np.zeros((1, lanes), np.float32)
+        shares, slopes = (np.concatenate([table, none]) for table in values)
+        return _Parts(phase, band, block, everywhere.ravel(), (shares, slopes))
+    kept = lit[row]
+    return _Parts(phase[kept], band[kept], block[kept], row[kept], (values[0], values[1]))
+
+
 def _level(level: DelayTables, lanes: int, *, skip_dark: bool) -> PackedDelays:
-    phases, bands, bins = level.shares.shape
-    blocks = -(-bins // lanes)
-    room = blocks * lanes - bins
-    widths = np.pad(level.widths, (0, room))
-
-    def blocked(table: NDArray[np.float32]) -> NDArray[np.float32]:
-        padded = np.pad(table, ((0, 0), (0, 0), (0, room)))
-        return padded.reshape(phases, bands, blocks, lanes)
-
-    shares, slopes = blocked(level.shares), blocked(level.slopes)
-    lit = np.asarray(shares.any(axis=-1) | slopes.any(axis=-1))  # phase, band, block
-    lit |= not skip_dark
-    runs, counts = _runs(lit)  # phase, band, first block
-    place = np.concatenate([[0], np.cumsum(2 * counts)])
-    row = np.full(lit.shape, -1)  # of each lit block's shares
-    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    row[lit] = np.repeat(place[:-1], counts) + within
+    tiles = level.tiles
+    blocks = -(-tiles.bins // lanes)
+    parts = _parts(tiles, lanes, skip_dark=skip_dark)
+    phases = np.arange(tiles.places.size)
+    begin, counts = _runs((parts.phase, parts.band), (parts.block, parts.row))
+    # runs with the same values share them
+    most = int(counts.max(initial=0)) + 1
+    known, run_values = np.unique(parts.row[begin] * most + counts, return_inverse=True)
+    rows, lengths = np.divmod(known, most)
+    place = np.concatenate([[0], np.cumsum(2 * lengths)])
     data = np.empty((place[-1], lanes), np.float32)
-    data[row[lit]] = shares[lit]
-    data[row[lit] + np.repeat(counts, counts)] = slopes[lit]
-
-    together = np.einsum("pib,pjb->ij", lit, lit, dtype=np.int64) > 0
-    pairs = np.argwhere(np.tril(together, -1))
-    both = lit[:, pairs[:, 0]] & lit[:, pairs[:, 1]]
-    met, lengths = _runs(both)  # phase, pair, first block
-    phase, pair, block = met.T
-    one, other = (row[phase, pairs[pair, side], block] for side in (0, 1))
+    for table, before in zip(parts.values, (np.zeros_like(lengths), lengths), strict=True):
+        data[_stretched(place[:-1] + before, lengths)] = table[_stretched(rows, lengths)]
+    places = place[run_values]
+    pairs, meetings, met_phase = _meetings(parts, blocks, tiles.bands, _stretched(places, counts))
     return PackedDelays(
         blocks=blocks,
-        widths=widths,
-        places=np.searchsorted(runs[:, 0], np.arange(phases + 1)).astype(np.int32),
-        runs=_table(*runs.T[1:], counts, place[:-1]),
+        widths=np.pad(level.widths, (0, blocks * lanes - tiles.bins)),
+        places=np.searchsorted(parts.phase[begin], phases).astype(np.int32),
+        runs=_table(parts.band[begin], parts.block[begin], counts, places),
         data=data,
-        pairs=np.ascontiguousarray(pairs, np.uint8),
-        meets=np.searchsorted(phase, np.arange(phases + 1)).astype(np.int32),
-        meetings=_table(pair, block, lengths, one, other),
+        pairs=pairs,
+        meets=np.searchsorted(met_phase, phases).astype(np.int32),
+        meetings=meetings,
     )
 
 
-def _table(*columns: NDArray[np.intp]) -> NDArray[np.int32]:
+def _meetings(
+    parts: _Parts, blocks: int, bands: int, places: NDArray[np.int64]
+) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int64]]:
+    """Pairs of bands that share blocks, their meetings, and the phase of each meeting."""
+    key = parts.phase * blocks + parts.block
+    order = np.argsort(key, kind="stable")  # bands rise among the parts of a block
+    key = key[order]
+    lower, upper = [], []
+    for apart in range(1, bands):
+        same = np.flatnonzero(key[apart:] == key[:-apart])
+        if not same.size:
+            break
+        lower.append(order[same])
+        upper.append(order[same + apart])
+    nothing = np.empty(0, np.int64)
+    one, other = np.concatenate([nothing, *upper]), np.concatenate([nothing, *lower])
+    known, pair = np.unique(parts.band[one] * bands + parts.band[other], return_inverse=True)
+    order = np.lexsort((parts.block[one], pair, parts.phase[one]))
+    one, other, pair = one[order], other[order], pair[order]
+    phase, block = parts.phase[one], parts.block[one]
+    begin, counts = _runs((phase, pair), (block, places[one], places[other]))
+    met = _table(pair[begin], block[begin], counts, places[one][begin], places[other][begin])
+    pairs = np.column_stack(np.divmod(known, bands)).astype(np.uint8)
+    return np.ascontiguousarray(pairs), met, phase[begin]
+
+
+def _table(*columns: NDArray[np.int64]) -> NDArray[np.int32]:
     return np.ascontiguousarray(np.column_stack(columns), np.int32)
 
 
-def _runs(lit: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where runs of the last axis begin (run, axis), in order, and how long they are."""
-    edges = np.diff(np.pad(lit.astype(np.int8), ((0, 0), (0, 0), (1, 1))))
-    first, end = np.argwhere(edges > 0), np.argwhere(edges < 0)
-    return first, end[:, -1] - first[:, -1]
+def _runs(
+    same: tuple[NDArray[np.int64], ...], rising: tuple[NDArray[np.int64], ...], *, by: int = 1
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where runs begin in which some values stay and others rise by 1 to `by`; their lengths."""
+    size = same[0].size
+    ends = np.zeros(max(size - 1, 0), bool)
+    for values in same:
+        ends |= np.diff(values) != 0
+    for values in rising:
+        ends |= (np.diff(values) > by) | (np.diff(values) < 1)
+    begin = np.flatnonzero(np.concatenate([[size > 0], ends]))
+    return begin, np.diff(np.append(begin, size))
+
+
+def _stretched(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """As many successive numbers from each first one on as there are counts."""
+    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.repeat(first, counts) + within
 
 
 def _search_tables(search: SearchTables, lanes: int) -> PackedSearch:
-    ratios, bands, bins, lags = search.gains.shape
-    blocks = -(-lags // lanes)
-    room = blocks * lanes - lags
-    gains = np.pad(search.gains, ((0, 0), (0, 0), (0, 0), (0, room)))
-    gains = gains.reshape(ratios, bands, bins, blocks, lanes)
-    costs = np.pad(search.costs, ((0, 0), (0, 0), (0, room)))
-    costs = costs.reshape(ratios, bands, blocks, lanes).transpose(2, 1, 0, 3)
-    spans = np.zeros((blocks, bands, 3), np.int32)
-    pieces, place = [], 0
-    for block in range(blocks):
-        for band in range(bands):
-            part = gains[:, band, :, block, :]  # ratio, bin, lane
-            seen = np.flatnonzero(part.any(axis=(0, 2)))
-            first, last = (int(seen[0]), int(seen[-1]) + 1) if seen.size else (0, 0)
-            spans[block, band] = first, last, place
-            piece = part[:, first:last].transpose(1, 0, 2)
-            pieces.append(piece.ravel())
-            place += piece.size
-    places, runs = [0], []
-    for lag in range(lags):
-        for band in range(bands):
-            zone = np.flatnonzero(np.diff(np.pad(search.zones[band, :, lag], 1)))
-            runs += [(band, first, last) for first, last in zone.reshape(-1, 2)]
-        places.append(len(runs))
+    bins, lags, bands = search.widths.size, search.lags_ns.size, search.bands
+    vectors = -(-lags // lanes)
+    vector, lane = np.divmod(search.lag, lanes)
+    columns, column = np.unique(
+        (vector * bands + search.band) * bins + search.bin, return_inverse=True
+    )
+    group, column_bin = np.divmod(columns, bins)
+    begin, counts = _runs((group,), (column_bin,), by=SPAN_GAP)
+    first, last = column_bin[begin], column_bin[begin + counts - 1] + 1
+    size = len(RATIOS) * lanes
+    place = np.concatenate([[0], np.cumsum((last - first) * size)])
+    span = np.repeat(np.arange(begin.size), counts)[column]
+    gains = np.zeros(place[-1] + 1, np.float32)
+    at = place[span] + (search.bin - first[span]) * size + lane
+    for ratio, values in enumerate(search.gains()):
+        gains[at + ratio * lanes] = values
+    costs = np.pad(search.costs, ((0, 0), (0, 0), (0, vectors * lanes - lags)))
+    costs = costs.reshape(len(RATIOS), bands, vectors, lanes).transpose(2, 1, 0, 3)
+    inside = np.flatnonzero(search.in_zone)
+    lag, band, bin_ = search.lag[inside], search.band[inside], search.bin[inside]
+    zone, zone_bins = _runs((lag, band), (bin_,))
     return PackedSearch(
-        spans=spans,
-        gains=np.concatenate([*pieces, np.zeros(1, np.float32)]),
+        span_places=np.searchsorted(group[begin], np.arange(vectors * bands + 1)).astype(np.int32),
+        spans=_table(first, last, place[:-1]),
+        gains=gains,
         costs=np.ascontiguousarray(costs),
-        places=np.array(places, np.int32),
-        runs=np.array(runs, np.int16).reshape(-1, 3),
+        places=np.searchsorted(lag[zone], np.arange(lags + 1)).astype(np.int32),
+        runs=_table(band[zone], bin_[zone], bin_[zone] + zone_bins),
         widths=np.ascontiguousarray(search.zone_widths.T),
         shares=np.ascontiguousarray(search.zone_shares.T),
     )

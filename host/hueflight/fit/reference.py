@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 
 from hueflight.backend.fit import LEAST_AMPLITUDE, LEAST_SHARE
 from hueflight.fit import assessment, detection
+from hueflight.fit.search_tables import SearchTables
 from hueflight.fit.tables import (
     BACKGROUND_SHARES,
     DelayTables,
     ModelTables,
-    SearchTables,
     by_phase,
 )
 
@@ -311,12 +311,10 @@ def _search(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Log-likelihood (pixel, lag) but for a constant, and the background's share at it."""
     grouped = search.summed(counts)
-    ratios, bands, _, lags = search.gains.shape
+    lags = search.lags_ns.size
     best = np.full((len(counts), lags), -np.inf)
     share = np.zeros_like(best)
-    parts = np.stack(
-        [[grouped @ search.gains[r, k] for k in range(bands)] for r in range(ratios)]
-    )  # ratio, band, pixel, lag
+    parts = search.gained(grouped)  # ratio, band, pixel, lag
     for tried in BACKGROUND_SHARES:
         background = (tried * total)[:, None]
         gained = parts - background * search.costs[:, :, None, :]
@@ -364,17 +362,16 @@ def _start(
     shift = np.where(inner, np.clip(shift, -0.5, 0.5), 0.0)
     step_ns = search.lags_ns[1] - search.lags_ns[0] if last > 0 else 0.0
     grouped = search.summed(counts)
-    zones = search.zones.transpose(2, 0, 1)  # lag, band, bin
-    inside = np.empty((len(counts), zones.shape[1]))
+    inside = np.empty((len(counts), search.bands))
     for value in np.unique(lag):
         chosen = lag == value
-        inside[chosen] = grouped[chosen] @ zones[value].T
+        inside[chosen] = grouped[chosen] @ search.zones(int(value)).T
     widths, shares = search.zone_widths.T[lag], search.zone_shares.T[lag]
     dark_width = 1 - widths.sum(axis=-1)
     dark = (total - inside.sum(axis=-1)) / np.maximum(dark_width, DARK_WIDTH)
     background = np.where(dark_width > DARK_WIDTH, dark, share[rows, lag] * total)
     amplitudes = (inside - background[:, None] * widths) / np.maximum(shares, LEAST_SHARE)
-    size = zones.shape[1] + 2
+    size = search.bands + 2
     return _State(
         delay=search.lags_ns[lag] + shift * step_ns,
         amplitudes=np.maximum(amplitudes, 0),
@@ -439,7 +436,7 @@ def _step(
 ) -> _State:
     """One step of Fisher scoring from the nearest tabulated delay; counts at the level's bins."""
     phase = level.phase_of(state.delay)
-    bands = level.shares.shape[1]
+    bands = level.tiles.bands
     size = bands + 2
     amplitudes = np.maximum(state.amplitudes, 0)
     background = np.maximum(state.background, FLOOR_PHOTONS + FLOOR_SHARE * total)

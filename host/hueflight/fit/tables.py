@@ -3,8 +3,9 @@
 The fit compares counts with μ_i(τ) = Σ_k A_k T_ki(τ) + b·w_i, where T_ki is the share of band k's
 photons in bin i at delay τ, and w_i that of the background. Tables hold T and its derivative on a
 fine grid of delays, exact on the circle of the period, for unequal bins and for trains of any
-order. Schedules that alternate frame by frame are *views* of the same pixel: their bins stand side
-by side, and their delay and amplitudes are common.
+order, and only for the bins that a pulse lights; see `tiles`. Schedules that alternate frame by
+frame are *views* of the same pixel: their bins stand side by side, and their delay and amplitudes
+are common.
 """
 
 from __future__ import annotations
@@ -16,6 +17,17 @@ from math import ceil, floor, log
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.fit.search_tables import SearchTables, make_search_tables
+from hueflight.fit.tiles import (
+    TILE_BINS,
+    DenseRows,
+    Tiles,
+    Waveforms,
+    count_tiles,
+    equal_bin_ns,
+    make_tiles,
+    summed,
+)
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.undersampling import is_resolved
 from hueflight.model.waveforms import Templates
@@ -23,10 +35,9 @@ from hueflight.model.waveforms import Templates
 PHASES_PER_FWHM = 50  #: delays in a table; the fit is linear between them
 FINE_BINS_PER_FWHM = 24  #: bins that are narrower are summed: pulses don't need them
 WIDE_BINS_PER_FWHM = 2.75  #: bins of the first search
-RATIOS = (3.0, 15.0, 75.0)  #: peak of a band over background that the first search tries
 BACKGROUND_SHARES = (0.05, 0.2, 0.5)  #: share of background among all counts that it tries
 CROP = 1e-7  #: a share below this part of a band's highest is taken for 0
-ZONE_FLOOR = 0.02  #: a band's zone ends where its share falls to this part of the highest
+MOST_OWN_TILES = 1 << 15  #: with more of them, more than a core's cache, equal bins share values
 FALSE_ALARM_RATE = 1e-3  #: probability that background alone passes for a surface
 DETECTION_THRESHOLD = 28.0  #: of twice the log-likelihood ratio, for that rate and the range below
 DETECTION_RANGE_NS = 28.0  #: searched range that the threshold was measured for
@@ -64,18 +75,25 @@ class DelayTables:
         Share of the background.
     first_ns, phase_ns : float
         First tabulated delay, and the step between them.
-    shares : ndarray of float32, shape (phase, band, bin)
-        Share of a band's photons.
-    slopes : ndarray of float32, shape (phase, band, bin)
-        Derivative of `shares` by the delay, per ns.
+    tiles : Tiles
+        Shares of the bands' photons, and their derivatives by the delay.
     """
 
     starts: NDArray[np.intp]
     widths: NDArray[np.float32]
     first_ns: float
     phase_ns: float
-    shares: NDArray[np.float32]
-    slopes: NDArray[np.float32]
+    tiles: Tiles
+
+    @property
+    def shares(self) -> DenseRows:
+        """Share of a band's photons (phase, band, bin), made for one phase at a time."""
+        return DenseRows(self.tiles, self.tiles.shares)
+
+    @property
+    def slopes(self) -> DenseRows:
+        """Derivative of `shares` by the delay, per ns, made for one phase at a time."""
+        return DenseRows(self.tiles, self.tiles.slopes)
 
     def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return counts in the bins of these tables.
@@ -107,60 +125,6 @@ class DelayTables:
         """
         nearest = np.rint((delay_ns - self.first_ns) / self.phase_ns)
         return np.clip(nearest, 0, len(self.shares) - 1).astype(np.intp)
-
-
-@dataclass(frozen=True, eq=False)
-class SearchTables:
-    """Tables of the search over whole lags.
-
-    Every bin belongs to the one band that is brightest in it. A band whose peak stands ρ times
-    above the background b changes the log-likelihood of counts h by Σ_j h_j·log(1 + ρ·x_j) −
-    ρ·b·Σ_j x_j w_j, where x is its shape relative to its peak.
-
-    Attributes
-    ----------
-    starts : ndarray of int, shape (bin,)
-        First fine bin of each bin.
-    widths : ndarray of float32, shape (bin,)
-        Share of the background.
-    lags_ns : ndarray of float, shape (lag,)
-        Delays that are searched.
-    gains : ndarray of float32, shape (ratio, band, bin, lag)
-        Values of log(1 + ρ·x).
-    costs : ndarray of float32, shape (ratio, band, lag)
-        Values of ρ·Σ x w.
-    zones : ndarray of float32, shape (band, bin, lag)
-        1 where a bin counts for a band, else 0.
-    zone_widths, zone_shares : ndarray of float32, shape (band, lag)
-        Share of the background and of the band in the band's zone.
-    separation : int
-        Lags between which two maxima are two delays, not one.
-    """
-
-    starts: NDArray[np.intp]
-    widths: NDArray[np.float32]
-    lags_ns: NDArray[np.float64]
-    gains: NDArray[np.float32]
-    costs: NDArray[np.float32]
-    zones: NDArray[np.float32]
-    zone_widths: NDArray[np.float32]
-    zone_shares: NDArray[np.float32]
-    separation: int
-
-    def summed(self, counts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return counts in the bins of the search.
-
-        Parameters
-        ----------
-        counts : ndarray of float, shape (pixel, fine bin)
-            Counts in the fine bins.
-
-        Returns
-        -------
-        ndarray of float, shape (pixel, bin)
-            Their sums.
-        """
-        return summed(counts, self.starts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +165,7 @@ class ModelTables:
     @property
     def bands(self) -> int:
         """Number of bands."""
-        return self.fine.shares.shape[1]
+        return self.fine.tiles.bands
 
 
 def detection_threshold(
@@ -259,19 +223,27 @@ def make_tables(
     bin_ns = max(view.bins.span_ns / view.bins.count for view in views)
     fine = max(1, floor(shortest_fwhm_ns / FINE_BINS_PER_FWHM / bin_ns))
     wide = max(1, floor(shortest_fwhm_ns / WIDE_BINS_PER_FWHM / (bin_ns * fine)))
-    phase_ns = shortest_fwhm_ns / PHASES_PER_FWHM
     delays_ns = search_ns[0] + offsets_ns[0], search_ns[1] + offsets_ns[1]
-    sensor_edges = [view.bins.edges_ns for view in views]
-    fine_starts, fine_edges = _grouped(sensor_edges, fine)
-    fine_level = _level(views, fine_starts, fine_edges, delays_ns, phase_ns)
+    fine_starts, fine_edges = _grouped([view.bins.edges_ns for view in views], fine)
+    sources = _sources(views, fine_edges)
+    phase_ns, turn = _phases(sources, delays_ns, shortest_fwhm_ns / PHASES_PER_FWHM)
+    fine_level = _level(sources, fine_starts, delays_ns, phase_ns, turn)
     white = np.asarray(brightness, np.float64) / np.sum(brightness)
-    step_ns = wide * fine * bin_ns
-    wide_bins = _grouped(fine_edges, wide)
+    wide_starts, wide_edges = _grouped(fine_edges, wide)
+    wide_sources = _sources(views, wide_edges)
     wide_level = fine_level
     if wide > 1:
-        wide_level = _level(views, *wide_bins, delays_ns, phase_ns)
+        wide_level = _level(wide_sources, wide_starts, delays_ns, phase_ns, turn * wide)
     return ModelTables(
-        search=_search_tables(views, *wide_bins, delays_ns, step_ns, shortest_fwhm_ns, white),
+        search=make_search_tables(
+            wide_sources,
+            wide_starts,
+            _widths(wide_sources),
+            delays_ns,
+            wide * fine * bin_ns,
+            shortest_fwhm_ns,
+            white,
+        ),
         wide=wide_level,
         fine=fine_level,
         fine_factor=fine,
@@ -282,26 +254,6 @@ def make_tables(
         resolved=all(is_resolved(shortest_fwhm_ns, view.bins) for view in views),
         contrasts=np.empty((0, white.size)) if contrasts is None else contrasts,
     )
-
-
-def summed(counts: NDArray[np.float64], starts: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return sums of counts between successive starts.
-
-    Parameters
-    ----------
-    counts : ndarray of float, shape (pixel, bin)
-        Counts.
-    starts : ndarray of int, shape (group,)
-        First bin of each group.
-
-    Returns
-    -------
-    ndarray of float, shape (pixel, group)
-        Sums.
-    """
-    if starts.size == counts.shape[-1]:
-        return counts
-    return np.add.reduceat(counts, starts, axis=-1)
 
 
 def _grouped(edges: list[NDArray], factor: int) -> tuple[NDArray[np.intp], list[NDArray]]:
@@ -315,89 +267,60 @@ def _grouped(edges: list[NDArray], factor: int) -> tuple[NDArray[np.intp], list[
     return np.concatenate(starts), grouped
 
 
-def _widths(views: Sequence[ScheduleView], edges: list[NDArray]) -> NDArray[np.float64]:
-    widths = [
-        view.weight * np.diff(edge) / view.bins.span_ns
+def _sources(views: Sequence[ScheduleView], edges: list[NDArray]) -> list[Waveforms]:
+    whole = sum(view.weight for view in views)
+    return [
+        Waveforms(edge, view.templates, view.weight / whole)
         for view, edge in zip(views, edges, strict=True)
     ]
-    return np.concatenate(widths) / sum(view.weight for view in views)
 
 
-def _shares(
-    views: Sequence[ScheduleView], edges: list[NDArray], delays_ns: NDArray
-) -> NDArray[np.float64]:
-    """(delay, band, bin) over all views."""
-    whole = sum(view.weight for view in views)
-    parts = [
-        view.templates.shares(edge, delays_ns[:, None]) * (view.weight / whole)
-        for view, edge in zip(views, edges, strict=True)
-    ]
-    return np.concatenate(parts, axis=-1).transpose(1, 0, 2)
-
-
-def _level(
-    views: Sequence[ScheduleView],
-    starts: NDArray[np.intp],
-    edges: list[NDArray],
-    range_ns: tuple[float, float],
-    phase_ns: float,
-) -> DelayTables:
-    first, last = floor(range_ns[0] / phase_ns) - 1, ceil(range_ns[1] / phase_ns) + 1
-    delays_ns = np.arange(first, last + 1) * np.float64(phase_ns)
-    shares = _shares(views, edges, delays_ns)
-    whole = sum(view.weight for view in views)
-    slopes = np.concatenate(
+def _widths(sources: Sequence[Waveforms]) -> NDArray[np.float64]:
+    """Share of the background in every bin."""
+    return np.concatenate(
         [
-            view.templates.slopes(edge, delays_ns[:, None]) * (view.weight / whole)
-            for view, edge in zip(views, edges, strict=True)
-        ],
-        axis=-1,
-    ).transpose(1, 0, 2)
-    empty = shares < CROP * shares.max(axis=(0, 2), keepdims=True)
-    shares[empty] = 0.0
-    slopes[empty] = 0.0
-    return DelayTables(
-        starts=starts,
-        widths=_widths(views, edges).astype(np.float32),
-        first_ns=float(delays_ns[0]),
-        phase_ns=phase_ns,
-        shares=np.ascontiguousarray(shares, np.float32),
-        slopes=np.ascontiguousarray(slopes, np.float32),
+            source.weight * np.diff(source.edges_ns) / (source.edges_ns[-1] - source.edges_ns[0])
+            for source in sources
+        ]
     )
 
 
-def _search_tables(
-    views: Sequence[ScheduleView],
+def _numbers(range_ns: tuple[float, float], phase_ns: float) -> tuple[int, int]:
+    """First tabulated delay, in steps, and how many there are."""
+    first, last = floor(range_ns[0] / phase_ns) - 1, ceil(range_ns[1] / phase_ns) + 1
+    return first, last + 1 - first
+
+
+def _phases(
+    sources: Sequence[Waveforms], range_ns: tuple[float, float], phase_ns: float
+) -> tuple[float, int]:
+    """Step between delays, and the steps after which values are shared (0: never).
+
+    Large tables share values: their step is the nearest shorter one that divides a block of bins.
+    """
+    first, count = _numbers(range_ns, phase_ns)
+    delays_ns = np.arange(first, first + count) * np.float64(phase_ns)
+    width_ns = equal_bin_ns(sources)
+    if width_ns is None or count_tiles(sources, delays_ns) <= MOST_OWN_TILES:
+        return phase_ns, 0
+    turn = ceil(TILE_BINS * width_ns / phase_ns)
+    return TILE_BINS * width_ns / turn, turn
+
+
+def _level(
+    sources: Sequence[Waveforms],
     starts: NDArray[np.intp],
-    edges: list[NDArray],
     range_ns: tuple[float, float],
-    step_ns: float,
-    shortest_fwhm_ns: float,
-    white: NDArray[np.float64],
-) -> SearchTables:
-    widths = _widths(views, edges)
-    first, last = ceil(range_ns[0] / step_ns - 0.5), floor(range_ns[1] / step_ns + 0.5)
-    lags_ns = np.arange(first, last + 1) * np.float64(step_ns)
-    shares = _shares(views, edges, lags_ns)
-    brightest = (shares * white[:, None]).argmax(axis=1)
-    own = brightest[:, None, :] == np.arange(len(white))[:, None]
-    density = np.where(own, shares, 0.0) / widths
-    shape = density / np.maximum(density.max(axis=(0, 2), keepdims=True), 1e-300)
-    shape[shape < 1e-3] = 0.0
-    zones = own & (shape > ZONE_FLOOR)
-    ratios = np.array(RATIOS)[:, None, None, None]
-    return SearchTables(
+    phase_ns: float,
+    turn: int,
+) -> DelayTables:
+    first, count = _numbers(range_ns, phase_ns)
+    return DelayTables(
         starts=starts,
-        widths=widths.astype(np.float32),
-        lags_ns=lags_ns,
-        gains=np.log1p(ratios * shape).transpose(0, 2, 3, 1).astype(np.float32),
-        costs=(ratios[..., 0] * (shape * widths).sum(axis=-1))
-        .transpose(0, 2, 1)
-        .astype(np.float32),
-        zones=zones.transpose(1, 2, 0).astype(np.float32),
-        zone_widths=(zones * widths).sum(axis=-1).T.astype(np.float32),
-        zone_shares=(zones * shares).sum(axis=-1).T.astype(np.float32),
-        separation=max(2, round(shortest_fwhm_ns / step_ns)),
+        widths=_widths(sources).astype(np.float32),
+        first_ns=float(first * np.float64(phase_ns)),
+        phase_ns=phase_ns,
+        tiles=make_tiles(sources, first, count, phase_ns, crop=CROP, turn=turn),
     )
 
 

@@ -4,7 +4,7 @@
 #define HUEFLIGHT_FIT_ABI_H
 #include <stdint.h>
 
-#define ABI "d1afedfb6baf8983" /* hash of what follows */
+#define ABI "3cee7ad31e5c27e1" /* hash of what follows */
 
 enum { MOST_BANDS = 30 }; /* bands that there is room for */
 enum { MOST_NODES = 32 }; /* delays of the posterior that there is room for */
@@ -115,30 +115,31 @@ enum {
     FIT_WIDE_PAIRS = 16, /* uint8: (pair, 2) bands that share a block, the greater first */
     FIT_WIDE_MEETS = 17, /* int32: (phase + 1,) first meeting of each phase */
     FIT_WIDE_MEETINGS = 18, /* int32: (meeting, 5) pair, first block, blocks, places */
-    FIT_SEARCH_SPANS = 19, /* int32: (block, band, 3) first bin, one past the last, place in gains */
-    FIT_SEARCH_GAINS = 20, /* float32: (ratio, lane) for each bin of a span */
-    FIT_SEARCH_COSTS = 21, /* float32: (block, band, ratio, lane) */
-    FIT_SEARCH_PLACES = 22, /* int32: (lag + 1,) first run of each lag */
-    FIT_SEARCH_RUNS = 23, /* int16: (run, 3) band, first bin, one past the last */
-    FIT_SEARCH_WIDTHS = 24, /* float32: (lag, band) share of the background in a band's zone */
-    FIT_SEARCH_SHARES = 25, /* float32: (lag, band) share of a band in its zone */
-    FIT_OFFSETS = 26, /* float32: (pixel,) delay of each pixel that is fitted */
-    FIT_RATES = 27, /* float32: (pixel,) photons per period, or nothing */
-    FIT_CONTRASTS = 28, /* float32: (contrast, band) along which delays are tested */
-    FIT_CURVATURES = 29, /* float32: (band,) information about width per that about delay */
-    FIT_MOMENTS = 30, /* float32: (point, 2) mean and variance of a count's deviance */
-    FIT_DELAY_NS = 31, /* float64: (pixel,) */
-    FIT_DELAY_STD_NS = 32, /* float64: (pixel,) */
-    FIT_OTHER_NS = 33, /* float64: (pixel,) second delay or NaN */
-    FIT_AMPLITUDES = 34, /* float64: (pixel, band) */
-    FIT_AMPLITUDE_STD = 35, /* float64: (pixel, band) */
-    FIT_BACKGROUND = 36, /* float64: (pixel,) */
-    FIT_DETECTION = 37, /* float64: (pixel,) twice a log-likelihood ratio, or NaN */
-    FIT_CHI_SQUARE = 38, /* float64: (pixel,) per degree of freedom, or NaN */
-    FIT_MISFIT = 39, /* float64: (pixel,) greatest score, or NaN */
-    FIT_STEPS = 40, /* uint8: (pixel,) */
-    FIT_READS = 31,
-    FIT_BUFFERS = 41
+    FIT_SEARCH_SPAN_PLACES = 19, /* int32: (lag block · band + 1,) first span of each */
+    FIT_SEARCH_SPANS = 20, /* int32: (span, 3) first bin, one past the last, place in gains */
+    FIT_SEARCH_GAINS = 21, /* float32: (ratio, lane) for each bin of a span */
+    FIT_SEARCH_COSTS = 22, /* float32: (block, band, ratio, lane) */
+    FIT_SEARCH_PLACES = 23, /* int32: (lag + 1,) first run of each lag */
+    FIT_SEARCH_RUNS = 24, /* int32: (run, 3) band, first bin, one past the last */
+    FIT_SEARCH_WIDTHS = 25, /* float32: (lag, band) share of the background in a band's zone */
+    FIT_SEARCH_SHARES = 26, /* float32: (lag, band) share of a band in its zone */
+    FIT_OFFSETS = 27, /* float32: (pixel,) delay of each pixel that is fitted */
+    FIT_RATES = 28, /* float32: (pixel,) photons per period, or nothing */
+    FIT_CONTRASTS = 29, /* float32: (contrast, band) along which delays are tested */
+    FIT_CURVATURES = 30, /* float32: (band,) information about width per that about delay */
+    FIT_MOMENTS = 31, /* float32: (point, 2) mean and variance of a count's deviance */
+    FIT_DELAY_NS = 32, /* float64: (pixel,) */
+    FIT_DELAY_STD_NS = 33, /* float64: (pixel,) */
+    FIT_OTHER_NS = 34, /* float64: (pixel,) second delay or NaN */
+    FIT_AMPLITUDES = 35, /* float64: (pixel, band) */
+    FIT_AMPLITUDE_STD = 36, /* float64: (pixel, band) */
+    FIT_BACKGROUND = 37, /* float64: (pixel,) */
+    FIT_DETECTION = 38, /* float64: (pixel,) twice a log-likelihood ratio, or NaN */
+    FIT_CHI_SQUARE = 39, /* float64: (pixel,) per degree of freedom, or NaN */
+    FIT_MISFIT = 40, /* float64: (pixel,) greatest score, or NaN */
+    FIT_STEPS = 41, /* uint8: (pixel,) */
+    FIT_READS = 32,
+    FIT_BUFFERS = 42
 };
 
 /* change_reference: what later counts are compared with, see hueflight/fit/change_detection.py */
@@ -162,19 +163,20 @@ enum {
     CHANGE_REFERENCE_WIDE_PAIRS = 16, /* uint8: (pair, 2) bands that share a block, the greater first */
     CHANGE_REFERENCE_WIDE_MEETS = 17, /* int32: (phase + 1,) first meeting of each phase */
     CHANGE_REFERENCE_WIDE_MEETINGS = 18, /* int32: (meeting, 5) pair, first block, blocks, places */
-    CHANGE_REFERENCE_SEARCH_SPANS = 19, /* int32: (block, band, 3) first bin, one past the last, place in gains */
-    CHANGE_REFERENCE_SEARCH_GAINS = 20, /* float32: (ratio, lane) for each bin of a span */
-    CHANGE_REFERENCE_SEARCH_COSTS = 21, /* float32: (block, band, ratio, lane) */
-    CHANGE_REFERENCE_SEARCH_PLACES = 22, /* int32: (lag + 1,) first run of each lag */
-    CHANGE_REFERENCE_SEARCH_RUNS = 23, /* int16: (run, 3) band, first bin, one past the last */
-    CHANGE_REFERENCE_SEARCH_WIDTHS = 24, /* float32: (lag, band) share of the background in a band's zone */
-    CHANGE_REFERENCE_SEARCH_SHARES = 25, /* float32: (lag, band) share of a band in its zone */
-    CHANGE_REFERENCE_DELAYS = 26, /* float32: (pixel,) */
-    CHANGE_REFERENCE_AMPLITUDES = 27, /* float32: (pixel, band) */
-    CHANGE_REFERENCE_BACKGROUND = 28, /* float32: (pixel,) */
-    CHANGE_REFERENCE_REFERENCE = 29, /* float32: (pixel, 2, room) */
-    CHANGE_REFERENCE_READS = 29,
-    CHANGE_REFERENCE_BUFFERS = 30
+    CHANGE_REFERENCE_SEARCH_SPAN_PLACES = 19, /* int32: (lag block · band + 1,) first span of each */
+    CHANGE_REFERENCE_SEARCH_SPANS = 20, /* int32: (span, 3) first bin, one past the last, place in gains */
+    CHANGE_REFERENCE_SEARCH_GAINS = 21, /* float32: (ratio, lane) for each bin of a span */
+    CHANGE_REFERENCE_SEARCH_COSTS = 22, /* float32: (block, band, ratio, lane) */
+    CHANGE_REFERENCE_SEARCH_PLACES = 23, /* int32: (lag + 1,) first run of each lag */
+    CHANGE_REFERENCE_SEARCH_RUNS = 24, /* int32: (run, 3) band, first bin, one past the last */
+    CHANGE_REFERENCE_SEARCH_WIDTHS = 25, /* float32: (lag, band) share of the background in a band's zone */
+    CHANGE_REFERENCE_SEARCH_SHARES = 26, /* float32: (lag, band) share of a band in its zone */
+    CHANGE_REFERENCE_DELAYS = 27, /* float32: (pixel,) */
+    CHANGE_REFERENCE_AMPLITUDES = 28, /* float32: (pixel, band) */
+    CHANGE_REFERENCE_BACKGROUND = 29, /* float32: (pixel,) */
+    CHANGE_REFERENCE_REFERENCE = 30, /* float32: (pixel, 2, room) */
+    CHANGE_REFERENCE_READS = 30,
+    CHANGE_REFERENCE_BUFFERS = 31
 };
 
 /* change_significance: how much counts have changed, see hueflight/fit/change_detection.py */
@@ -198,19 +200,20 @@ enum {
     CHANGE_SIGNIFICANCE_WIDE_PAIRS = 16, /* uint8: (pair, 2) bands that share a block, the greater first */
     CHANGE_SIGNIFICANCE_WIDE_MEETS = 17, /* int32: (phase + 1,) first meeting of each phase */
     CHANGE_SIGNIFICANCE_WIDE_MEETINGS = 18, /* int32: (meeting, 5) pair, first block, blocks, places */
-    CHANGE_SIGNIFICANCE_SEARCH_SPANS = 19, /* int32: (block, band, 3) first bin, one past the last, place in gains */
-    CHANGE_SIGNIFICANCE_SEARCH_GAINS = 20, /* float32: (ratio, lane) for each bin of a span */
-    CHANGE_SIGNIFICANCE_SEARCH_COSTS = 21, /* float32: (block, band, ratio, lane) */
-    CHANGE_SIGNIFICANCE_SEARCH_PLACES = 22, /* int32: (lag + 1,) first run of each lag */
-    CHANGE_SIGNIFICANCE_SEARCH_RUNS = 23, /* int16: (run, 3) band, first bin, one past the last */
-    CHANGE_SIGNIFICANCE_SEARCH_WIDTHS = 24, /* float32: (lag, band) share of the background in a band's zone */
-    CHANGE_SIGNIFICANCE_SEARCH_SHARES = 25, /* float32: (lag, band) share of a band in its zone */
-    CHANGE_SIGNIFICANCE_DELAYS = 26, /* float32: (pixel,) */
-    CHANGE_SIGNIFICANCE_SCALES = 27, /* float32: (pixel,) exposures now per exposure then */
-    CHANGE_SIGNIFICANCE_REFERENCE = 28, /* float32: (pixel of counts, 2, room) */
-    CHANGE_SIGNIFICANCE_SIGNIFICANCE = 29, /* float32: (pixel,) */
-    CHANGE_SIGNIFICANCE_READS = 29,
-    CHANGE_SIGNIFICANCE_BUFFERS = 30
+    CHANGE_SIGNIFICANCE_SEARCH_SPAN_PLACES = 19, /* int32: (lag block · band + 1,) first span of each */
+    CHANGE_SIGNIFICANCE_SEARCH_SPANS = 20, /* int32: (span, 3) first bin, one past the last, place in gains */
+    CHANGE_SIGNIFICANCE_SEARCH_GAINS = 21, /* float32: (ratio, lane) for each bin of a span */
+    CHANGE_SIGNIFICANCE_SEARCH_COSTS = 22, /* float32: (block, band, ratio, lane) */
+    CHANGE_SIGNIFICANCE_SEARCH_PLACES = 23, /* int32: (lag + 1,) first run of each lag */
+    CHANGE_SIGNIFICANCE_SEARCH_RUNS = 24, /* int32: (run, 3) band, first bin, one past the last */
+    CHANGE_SIGNIFICANCE_SEARCH_WIDTHS = 25, /* float32: (lag, band) share of the background in a band's zone */
+    CHANGE_SIGNIFICANCE_SEARCH_SHARES = 26, /* float32: (lag, band) share of a band in its zone */
+    CHANGE_SIGNIFICANCE_DELAYS = 27, /* float32: (pixel,) */
+    CHANGE_SIGNIFICANCE_SCALES = 28, /* float32: (pixel,) exposures now per exposure then */
+    CHANGE_SIGNIFICANCE_REFERENCE = 29, /* float32: (pixel of counts, 2, room) */
+    CHANGE_SIGNIFICANCE_SIGNIFICANCE = 30, /* float32: (pixel,) */
+    CHANGE_SIGNIFICANCE_READS = 30,
+    CHANGE_SIGNIFICANCE_BUFFERS = 31
 };
 
 /* sums: counts of pixels */

@@ -73,7 +73,7 @@ INLINE float change_significance(const ModelTables *tables, const float *now, co
     float lag = rintf((delay - search->first_ns) / search->step_ns);
     int here = lag < 0 ? 0 : lag > (float)(search->lags - 1) ? search->lags - 1 : (int)lag;
     for (int run = search->places[here]; run < search->places[here + 1]; run++) {
-        const int16_t *bins = search->runs + (size_t)run * 3;
+        const int32_t *bins = search->runs + (size_t)run * 3;
         vec x = {0}, y = {0};
         for (int v = bins[1] / LANES; v * LANES < bins[2]; v++) {
             ivec bin = lane_numbers() + v * LANES, inside = (bin >= bins[1]) & (bin < bins[2]);

@@ -12,16 +12,19 @@ INLINE void search_lags(const ModelTables *tables, const float *counts, size_t s
     int blocks = (search->lags + LANES - 1) / LANES;
     for (int block = 0; block < blocks; block++) {
         vec parts[BATCH][MOST_BANDS][RATIOS];
-        const int32_t *span = search->spans + (size_t)block * (size_t)tables->bands * 3;
-        for (int k = 0; k < tables->bands; k++, span += 3) {
+        const int32_t *places = search->span_places + (size_t)block * (size_t)tables->bands;
+        for (int k = 0; k < tables->bands; k++) {
             vec some[BATCH][RATIOS] = {{{0}}};
-            const float *gains = search->gains + (size_t)span[2];
-            for (int j = span[0]; j < span[1]; j++, gains += RATIOS * LANES)
-                for (int p = 0; p < BATCH; p++) {
-                    float h = counts[(size_t)p * stride + (size_t)j];
-                    for (int r = 0; r < RATIOS; r++)
-                        some[p][r] += h * load(gains + r * LANES);
-                }
+            for (int i = places[k]; i < places[k + 1]; i++) {
+                const int32_t *span = search->spans + (size_t)i * 3;
+                const float *gains = search->gains + (size_t)span[2];
+                for (int j = span[0]; j < span[1]; j++, gains += RATIOS * LANES)
+                    for (int p = 0; p < BATCH; p++) {
+                        float h = counts[(size_t)p * stride + (size_t)j];
+                        for (int r = 0; r < RATIOS; r++)
+                            some[p][r] += h * load(gains + r * LANES);
+                    }
+            }
             for (int p = 0; p < BATCH; p++)
                 for (int r = 0; r < RATIOS; r++)
                     parts[p][k][r] = some[p][r];
@@ -95,7 +98,7 @@ INLINE void start(const ModelTables *tables, const float *counts, float total, c
     candidate->live = 1;
     float inside[MOST_BANDS] = {0}, dark = total, dark_width = 1;
     for (int run = search->places[lag]; run < search->places[lag + 1]; run++) {
-        const int16_t *bins = search->runs + (size_t)run * 3;
+        const int32_t *bins = search->runs + (size_t)run * 3;
         float here = 0;
         for (int j = bins[1]; j < bins[2]; j++)
             here += counts[j];

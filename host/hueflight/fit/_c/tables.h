@@ -30,11 +30,12 @@ typedef struct {
 typedef struct {
     int factor, bins, lags, separation;
     float first_ns, step_ns;
-    const int32_t *spans;  /* lag blocks × bands × 3: first bin, one past the last, place in gains */
+    const int32_t *span_places; /* lag blocks × bands + 1: first span of each band */
+    const int32_t *spans;  /* spans × 3: first bin, one past the last, place in gains */
     const float *gains;    /* ratio × lags of a vector, for each bin of a span */
     const float *costs;    /* lag blocks × bands × ratios × lags of a vector */
     const int32_t *places; /* lags + 1: first run of each lag */
-    const int16_t *runs;   /* band, first bin, one past the last */
+    const int32_t *runs;   /* band, first bin, one past the last */
     const float *widths, *shares; /* lags × bands */
 } SearchTables;
 

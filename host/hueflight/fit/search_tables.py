@@ -225,7 +225,7 @@ def _entries(
     sources: Sequence[Waveforms], first: int, lags: int, step_ns: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Lag, band, bin and share wherever there is light, sorted in this order."""
-    tiles = make_tiles(sources, first, lags, step_ns, crop=0.0, dtype=np.float64)
+    tiles = make_tiles(sources, first, lags, step_ns, crop=0.0, with_slopes=False, dtype=np.float64)
     lag = np.repeat(np.arange(lags), np.diff(tiles.places))
     share = np.asarray(tiles.shares[tiles.row], np.float64)
     tile, place = np.nonzero(share > 0)

@@ -23,7 +23,6 @@ from hueflight.fit.tiles import (
     DenseRows,
     Tiles,
     Waveforms,
-    count_tiles,
     equal_bin_ns,
     make_tiles,
     summed,
@@ -37,7 +36,7 @@ FINE_BINS_PER_FWHM = 24  #: bins that are narrower are summed: pulses don't need
 WIDE_BINS_PER_FWHM = 2.75  #: bins of the first search
 BACKGROUND_SHARES = (0.05, 0.2, 0.5)  #: share of background among all counts that it tries
 CROP = 1e-7  #: a share below this part of a band's highest is taken for 0
-MOST_OWN_TILES = 1 << 15  #: with more of them, more than a core's cache, equal bins share values
+SHARED_FROM = 8.0  #: blocks of bins that delays span from which equal bins share their values
 FALSE_ALARM_RATE = 1e-3  #: probability that background alone passes for a surface
 DETECTION_THRESHOLD = 28.0  #: of twice the log-likelihood ratio, for that rate and the range below
 DETECTION_RANGE_NS = 28.0  #: searched range that the threshold was measured for
@@ -296,12 +295,11 @@ def _phases(
 ) -> tuple[float, int]:
     """Step between delays, and the steps after which values are shared (0: never).
 
-    Large tables share values: their step is the nearest shorter one that divides a block of bins.
+    Where delays span many blocks of bins, their step is the nearest shorter one that divides a
+    block.
     """
-    first, count = _numbers(range_ns, phase_ns)
-    delays_ns = np.arange(first, first + count) * np.float64(phase_ns)
     width_ns = equal_bin_ns(sources)
-    if width_ns is None or count_tiles(sources, delays_ns) <= MOST_OWN_TILES:
+    if width_ns is None or range_ns[1] - range_ns[0] < SHARED_FROM * TILE_BINS * width_ns:
         return phase_ns, 0
     turn = ceil(TILE_BINS * width_ns / phase_ns)
     return TILE_BINS * width_ns / turn, turn

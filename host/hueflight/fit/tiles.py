@@ -265,6 +265,7 @@ def make_tiles(
     *,
     crop: float,
     turn: int = 0,
+    with_slopes: bool = True,
     dtype: type[np.floating] = np.float32,
 ) -> Tiles:
     """Compute the tiles of equally spaced delays.
@@ -282,6 +283,8 @@ def make_tiles(
     turn : int
         Delays after which light has moved by one block of equal bins, so that values are shared; 0
         to compute each delay on its own.
+    with_slopes : bool
+        Compute the slopes too; otherwise they are 0.
     dtype : type
         Type of the values.
 
@@ -298,7 +301,8 @@ def make_tiles(
     keys = _tile_keys(lit_blocks(sources, delays_ns), bands, blocks)
     delay, band, block = _split(keys, bands, blocks)
     example, row = _shared_rows(sources, numbers[delay], band, block, turn)
-    shares, slopes = _values(sources, delays_ns[delay[example]], band[example], block[example])
+    where = delays_ns[delay[example]], band[example], block[example]
+    shares, slopes = _values(sources, *where, with_slopes=with_slopes)
 
     highest = np.zeros(bands)
     np.maximum.at(highest, band[example], shares.max(axis=-1, initial=0))
@@ -331,7 +335,12 @@ def _tile_keys(
         count = last - first + 1
         within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         keys.append(np.repeat((delay * bands + band) * blocks + first, count) + within)
-    return np.unique(np.concatenate(keys))
+    rising = np.concatenate(keys)
+    apart = np.diff(rising) > 0
+    if not apart.all():  # stretches meet in a block, or another one comes first
+        rising.sort()
+        apart = np.diff(rising) > 0
+    return rising[np.concatenate([[True] * min(rising.size, 1), apart])]
 
 
 def _split(
@@ -398,6 +407,8 @@ def _values(
     delays_ns: NDArray[np.float64],
     band: NDArray[np.int64],
     block: NDArray[np.int64],
+    *,
+    with_slopes: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Shares and slopes (row, bin) of tiles."""
     shares, slopes = np.zeros((2, band.size, TILE_BINS))
@@ -415,5 +426,6 @@ def _values(
                 times_ns = edges[np.clip(edge, 0, edges.size - 1)]
                 later_ns = delays_ns[some, None]
                 shares[some] += own.shares(times_ns, later_ns)[0] * source.weight
-                slopes[some] += own.slopes(times_ns, later_ns)[0] * source.weight
+                if with_slopes:
+                    slopes[some] += own.slopes(times_ns, later_ns)[0] * source.weight
     return shares, slopes

@@ -98,7 +98,7 @@ def test_equal_bins_share_values():
     assert lone.fine.tiles.row.size == lone.fine.tiles.shares.shape[0]
 
 
-def test_small_tables_step_by_a_fiftieth_of_the_pulse():
+def test_short_ranges_step_by_a_fiftieth_of_the_pulse():
     assert tables(CASES["two schedules"], search_ns=(-2.0, 2.0)).fine.phase_ns == 0.35 / 50
     large = tables(CASES["two schedules"])
     assert 0.9 * 0.35 / 50 < large.fine.phase_ns <= 0.35 / 50

@@ -32,6 +32,7 @@ BUILDS = {
     ),
 }
 HEAD = '''\
+# SPDX-License-Identifier: Apache-2.0
 """Registers {of} as types; written by `tools/typed_registers.py`, not by hand."""
 
 from dataclasses import dataclass

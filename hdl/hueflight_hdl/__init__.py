@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gateware of Hueflight: the illuminator, the camera, their boards and how they are built.
 
 Packages, from the bottom up; an import may only go down this list:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The contract between camera, illuminator and host: packets, control messages, registers.
 
 The specification is ``docs/protocol.md``; what is declared here is its definition.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Register map of the camera: the board that reads the sensor and sends packets."""
 
 from enum import IntEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The two checks of the wire format: CRC-32C over everything, XOR over a header.
 
 CRC-32C is the catalogue entry CRC-32/ISCSI (Castagnoli 1993; RFC 3720 appendix B.4);

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Consistent Overhead Byte Stuffing: messages on a serial line, told apart by zero bytes.
 
 # Ref: S. Cheshire, M. Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactions on

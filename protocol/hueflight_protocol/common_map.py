@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registers that stand at the same addresses on both boards: identity and status."""
 
 from .control import CONTROL_VERSION, IDENTITY_ADDRESS, STATUS_ADDRESS

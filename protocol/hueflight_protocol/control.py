@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control messages: one request, one response, the same layout both ways and on both boards.
 
 A message is eight bytes of header, 0 to 64 words of payload, and a CRC-32C. On the serial

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one exception family of Hueflight.
 
 Everything that goes wrong in an expected way is a `HueflightError`; each room of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A decoded frame and what its packet's header says about it."""
 
 from collections.abc import Mapping

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame packet in, codes out: strict, so that what it accepts is what the encoder makes.
 
 The decoder refuses every packet that differs in one bit from what `encode_frame` makes of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Codes in, frame packet out: the reference that the gateware's formatter equals bit for bit."""
 
 import numpy as np

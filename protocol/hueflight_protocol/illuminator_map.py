@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Register map of the illuminator: the board that fires the LEDs."""
 
 from enum import IntEnum

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixed-size layouts: one ``construct`` declaration, and all that derives from it.
 
 The declaration is the definition. From it come the byte offsets that the C kernel and the

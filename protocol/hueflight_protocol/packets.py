@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets that are not frames: events, status, test patterns, and types not known yet.
 
 They carry the length of their body, so that a reader can skip a type it does not know.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Little-endian bit packing of codes, in groups of eight codes = `code_bits` bytes.
 
 Code i of a run occupies bits i·w to i·w + w − 1 of its byte string, where bit k is bit

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reference parser: bytes in any pieces in, intact packets and counted damage out.
 
 After damage it looks for the next magic at any byte, inside the damaged packet too, so

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The register file in software: answers control messages exactly as the gateware must.
 
 It is the reference for the gateware's register file, and answers for every simulated board.

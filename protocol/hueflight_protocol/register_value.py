@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The common base of the registers as types, which `tools/typed_registers.py` writes."""
 
 from dataclasses import fields

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Register maps: declared once, from which gateware and host both derive.
 
 A register is one 32-bit word at a word address; values of 64 bits take two. Fields are given

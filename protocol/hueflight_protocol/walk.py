@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finding the end of a packet: header checks, and the walk over a frame's chunks.
 
 A frame packet carries no length, so that the camera can stream it without a frame buffer.

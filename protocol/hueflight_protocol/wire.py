@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Declarations of the wire format, camera to host: the definition of version 1.
 
 Every packet starts with a header that carries magic, version, type and its own size, and

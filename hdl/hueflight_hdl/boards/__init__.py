@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Development boards: pins, clocks and gearing of each design."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera on ECP5 boards: clocks and the pins that connect it to the illuminator."""
 
 from __future__ import annotations

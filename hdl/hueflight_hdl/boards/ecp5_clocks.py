@@ -1,6 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """Clocks of the illuminator on ECP5: edge clock, pulse clock and control clock.
 
-# Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL; FPGA-TN-02035, GDDRX2.
+# Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL; FPGA-TN-02035, GDDRX2 and the
+# synchronization of its start (GDDR_SYNC).
 """
 
 from __future__ import annotations
@@ -28,13 +30,59 @@ AIM = 1.15
 _VCO_HZ = 800e6
 RECOVERY_CLOCKS = 16
 """Clocks of `sync` after a failure: more than disarming takes to reach the pins."""
+_START_CLOCKS = 8
+"""Clocks of the oscillator between the steps of the start."""
+
+
+class IoStart(Elaboratable):
+    """Starts divider and I/O registers in the order that the vendor asks for.
+
+    While the PLL has not locked, the edge clock is stopped and they are held in reset, at once
+    and without a clock. After the lock the reset is released first and the edge clock later, so
+    that divider and I/O registers all begin with the same edge.
+
+    Parameters
+    ----------
+    clock : Value
+        From the oscillator.
+    locked : Value
+        The PLL has locked; asynchronous.
+
+    Attributes
+    ----------
+    stop : Signal
+        The edge clock is stopped.
+    reset : Signal
+        Divider and I/O registers are in reset.
+    """
+
+    def __init__(self, clock: Value, locked: Value) -> None:
+        self.clock = clock
+        self.locked = locked
+        self.stop = Signal(init=1)
+        self.reset = Signal(init=1)
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        start = ClockDomain("start", async_reset=True, local=True)
+        m.domains += start
+        m.d.comb += start.clk.eq(self.clock)
+        m.submodules.lost = AsyncFFSynchronizer(~self.locked, start.rst, o_domain="start")
+        count = Signal(range(2 * _START_CLOCKS + 1))
+        with m.If(count != 2 * _START_CLOCKS):
+            m.d.start += count.eq(count + 1)
+        m.d.start += [
+            self.reset.eq(count < _START_CLOCKS),
+            self.stop.eq(count < 2 * _START_CLOCKS),
+        ]
+        return m
 
 
 class Ecp5Clocks(Elaboratable):
     """Domains `edge` (400 MHz), `pulse` (200 MHz) and `sync` (50 MHz).
 
-    No domain has a reset. All clocks are stopped until the PLL has locked, so that every
-    register leaves its configured value on the same clean edge.
+    No domain has a reset. All clocks are stopped until the PLL has locked and the I/O registers
+    have been reset, so that every register leaves its configured value on the same clean edge.
 
     Parameters
     ----------
@@ -48,12 +96,15 @@ class Ecp5Clocks(Elaboratable):
     failed : Signal
         High while the PLL has not locked and for `RECOVERY_CLOCKS` after. It rises without a
         clock, from a preset of flip-flops, because all clocks stop with the lock.
+    io_reset : Signal
+        Resets the I/O registers; it is released while the edge clock is stopped.
     """
 
     def __init__(self, clock: Value, clock_hz: float) -> None:
         self.clock = clock
         self.clock_hz = clock_hz
         self.failed = Signal(init=1)
+        self.io_reset = Signal(init=1)
 
     def add_to(self, m: Module, platform: Platform) -> None:
         """Add the clock domains to a module, and the logic that generates them."""
@@ -76,19 +127,23 @@ class Ecp5Clocks(Elaboratable):
             vco_hz=_VCO_HZ,
             locked=locked,
         )
+        m.submodules.start = start = IoStart(self.clock, locked)
+        m.d.comb += self.io_reset.eq(start.reset)
         m.submodules.edge = Instance(
-            "ECLKSYNCB", i_ECLKI=fast, i_STOP=~locked, o_ECLKO=ClockSignal("edge")
+            "ECLKSYNCB", i_ECLKI=fast, i_STOP=start.stop, o_ECLKO=ClockSignal("edge")
         )
         m.submodules.pulse = Instance(
             "CLKDIVF",
             p_DIV="2.0",
             i_CLKI=ClockSignal("edge"),
-            i_RST=~locked,
+            i_RST=start.reset,
             i_ALIGNWD=Const(0),
             o_CDIVX=ClockSignal("pulse"),
         )
         m.submodules.failed = AsyncFFSynchronizer(
             ~locked, self.failed, o_domain="sync", stages=RECOVERY_CLOCKS
         )
-        m.submodules.sync = Instance("DCCA", i_CLKI=slow, i_CE=locked, o_CLKO=ClockSignal("sync"))
+        m.submodules.sync = Instance(
+            "DCCA", i_CLKI=slow, i_CE=~start.stop, o_CLKO=ClockSignal("sync")
+        )
         return m

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator on any ECP5 board: nine channels in ticks of 1.25 ns."""
 
 from __future__ import annotations
@@ -64,7 +65,8 @@ class Ecp5Illuminator(Elaboratable):
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
         clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency)
         clocks.add_to(m, platform)
-        illuminator = add_from_platform(m, self.config, Ecp5Gearing(), platform, clocks.failed)
+        gearing = Ecp5Gearing(clocks.io_reset)
+        illuminator = add_from_platform(m, self.config, gearing, platform, clocks.failed)
         lamp = platform.request(*self.armed, dir="-")
         drive(m, "armed", lamp.r if self.armed[0] == "rgb_led" else lamp, illuminator.armed)
         return m

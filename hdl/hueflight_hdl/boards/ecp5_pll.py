@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The PLL of the ECP5.
 
 # Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL.

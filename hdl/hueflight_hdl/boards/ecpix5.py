@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ECPIX-5 board with an ECP5-85F, speed grade 8."""
 
 from __future__ import annotations

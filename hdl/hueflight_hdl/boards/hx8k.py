@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """iCE40-HX8K breakout board: two ticks of 4.975 ns a clock."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connects an illuminator to its pins, in the way that all boards share."""
 
 from __future__ import annotations

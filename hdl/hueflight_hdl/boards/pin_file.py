@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TOML files with the FPGA pins of boards whose wiring depends on the builder."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads and drives pins of a board through plain I/O buffers."""
 
 from __future__ import annotations

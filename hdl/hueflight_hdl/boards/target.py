@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A target: one design on one board, and how it is built."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The registry of targets: which design can be built for which board."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ULX3S board with an ECP5-85F."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Opal Kelly XEM3010, the illuminator board of the paper: a project for Xilinx ISE.
 
 Its pins are not published in a document that could be cited, so the user names them (see

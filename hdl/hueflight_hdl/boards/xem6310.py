@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Opal Kelly XEM6310-LX150, the camera board of the paper: a project for Xilinx ISE.
 
 # Ref: pins of the host interface, clock and lamps: Opal Kelly, design-resources,

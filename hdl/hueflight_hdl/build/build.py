@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builds bitstreams: synthesis, then placement and routing until the timing margin is met."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corrects the net names in clock constraints after synthesis.
 
 Amaranth constrains a clock under the name that it has in the deepest module. Synthesis may keep

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes Verilog projects for other toolchains, and estimates their resources with yosys."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports of builds: cells used, frequencies reached, seeds tried."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of bitstreams, from the reports that builds leave behind.
 
 ``python -m hueflight_hdl.build.table build > docs/bitstreams.md`` takes every ``report.json`` (of

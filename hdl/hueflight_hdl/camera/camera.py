@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera without its link and pins: exposures, sensor, formatter, registers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counters of a capture; none of them wraps."""
 
 from __future__ import annotations

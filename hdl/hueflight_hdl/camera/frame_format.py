@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build-time format of frames: geometry, code width, lanes, run length, chunk banks."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets other than frames: events, status, test patterns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The application object and the handling of errors."""
 
 from __future__ import annotations

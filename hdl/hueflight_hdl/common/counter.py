@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A counter that saturates instead of wrapping."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A clock-domain crossing that carries settings and commands together and in order."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A saturating counter for fast clocks, with a pipelined carry."""
 
 from __future__ import annotations

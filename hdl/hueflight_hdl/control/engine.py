@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers requests: each is checked completely before any part of it takes effect.
 
 Rules C1 to C10 are those of ``docs/protocol.md``; `hueflight_protocol.RegisterFile` is the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Byte streams between a link and the control engine."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The register file, made from a register map.
 
 Everything that the host wrote, and every constant, is read back from one memory, so that only

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Buffers complete requests until the engine is free."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The part of the control interface that both boards share: engine and status registers."""
 
 from __future__ import annotations

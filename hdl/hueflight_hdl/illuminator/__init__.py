@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator: the pulse generator, its gearing to the pins, arming and registers."""

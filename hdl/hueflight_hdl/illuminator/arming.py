@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arming and the watchdog: LEDs may fire only while the host confirms it regularly."""
 
 from __future__ import annotations

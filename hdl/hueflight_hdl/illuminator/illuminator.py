@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator without its pins: pulse generator, arming, registers and serial link."""
 
 from __future__ import annotations

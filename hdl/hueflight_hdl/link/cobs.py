@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Consistent Overhead Byte Stuffing in gateware; the software codec is in `hueflight_protocol`.
 
 # Ref: S. Cheshire, M. Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactions on

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """USB 3 through FTDI's FT601: packets are written into its FIFO in bursts.
 
 # Ref: FTDI DS_FT600Q-FT601Q, FT600Q-FT601Q IC Datasheet: 245 synchronous FIFO mode, write timing.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Opal Kelly's host interface (FrontPanel, USB 3): an adapter, **not tested on hardware here**.
 
 The vendor's modules are not public and not part of this project: `okHost` and its endpoints are

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A queue for packet words between the clock of the formatter and that of a link."""
 
 from __future__ import annotations

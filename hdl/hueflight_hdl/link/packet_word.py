@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A word of a packet stream, as the camera sends it to every link."""
 
 from __future__ import annotations

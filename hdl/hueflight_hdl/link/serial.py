@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The serial link: UART and COBS, between the pins and the control engine."""
 
 from __future__ import annotations

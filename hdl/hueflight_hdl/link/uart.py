@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """UART with 8 data bits, no parity and one stop bit, at up to an eighth of the clock frequency.
 
 The bit clock is a phase accumulator: any rate is met to better than one part in a thousand on

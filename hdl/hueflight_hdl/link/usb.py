@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """USB 2 at high speed through LUNA: packets on one bulk endpoint, control messages on two.
 
 # Ref: Universal Serial Bus Specification 2.0; ULPI 1.1; https://luna.readthedocs.io.

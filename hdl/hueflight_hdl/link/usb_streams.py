@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Converts between the streams of the camera and those of USB bulk endpoints."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Formally verified properties of the camera."""
 
 from __future__ import annotations

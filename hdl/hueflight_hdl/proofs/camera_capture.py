@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of exposures and readouts, for all registers, requests and sensors."""
 
 from __future__ import annotations

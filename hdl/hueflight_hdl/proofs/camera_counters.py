@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A capture's counters never decrease."""
 
 from __future__ import annotations

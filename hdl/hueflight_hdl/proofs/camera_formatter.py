@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of the frame formatter, for all codes, pauses, aborts and changes of filters."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A harness for the verification of one component with free inputs."""
 
 from __future__ import annotations

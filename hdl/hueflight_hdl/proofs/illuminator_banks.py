@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A train uses one bank throughout; the content of the other bank does not affect it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The limits of on-time and duty hold for every demand of the generator."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every accepted request is answered within a bounded time."""
 
 from __future__ import annotations

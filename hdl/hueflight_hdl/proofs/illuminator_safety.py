@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LEDs are off unless the board is armed, and it is armed only while the host confirms it."""
 
 from __future__ import annotations

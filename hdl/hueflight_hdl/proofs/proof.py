@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A property of the gateware, and its formal verification with yosys, SBY and yices."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A whole generated top, with models of the vendor's primitives, in Verilator.
 
 Everything in a bitstream of a board is simulated: clocks and PLL, I/O registers, serial line and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A testbench for the camera, with a Python model of its link, host and sensor."""
 
 from __future__ import annotations

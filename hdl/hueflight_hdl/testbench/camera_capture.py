@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A capture with the simulated camera and its synthetic sensor."""
 
 from __future__ import annotations

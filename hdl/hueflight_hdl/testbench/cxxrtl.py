@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiles gateware to machine code with CXXRTL and runs it in batches on NumPy arrays.
 
 A batch is two structured arrays, one record per clock of the fastest domain: what the inputs

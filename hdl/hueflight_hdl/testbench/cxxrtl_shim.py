@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The C++ around a CXXRTL model: copies records in and out and steps the clocks."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A testbench for the frame formatter that runs thousands of full frames."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How many clocks a frame takes in the formatter, by occupancy.
 
     python -m hueflight_hdl.testbench.formatter_rate [lanes ...]

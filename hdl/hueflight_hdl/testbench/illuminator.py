@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A testbench for the whole illuminator, from pin to pin: serial line, triggers, LEDs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random trials of illuminators, from the trigger's pin to those of the LEDs.
 
 A serial line takes thousands of clocks for each message. Here a byte takes one clock, so that tens

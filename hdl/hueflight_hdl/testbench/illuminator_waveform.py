@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One LED train of the simulated illuminator, as a VCD file and as a drawing."""
 
 from __future__ import annotations

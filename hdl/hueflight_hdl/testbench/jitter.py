@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Timing jitter of a train relative to its trigger, from simulation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A testbench that compares the pulse generator with its reference model tick by tick."""
 
 from __future__ import annotations

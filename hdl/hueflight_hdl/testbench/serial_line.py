@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A serial line to a simulated design: bytes to levels on its pin, levels to bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Illuminators between simulated pins, for compiled simulation.
 
 A pin behind the gearing is a word of ticks in each clock.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Words of lanes to ticks and back."""
 
 from __future__ import annotations

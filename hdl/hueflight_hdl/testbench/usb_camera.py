@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera behind its USB device, with flat ports on the side of the transceiver (UTMI)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model of a USB host: reset, enumeration, bulk transfers and transmission errors.
 
 The host sees the bus as UTMI shows it, byte for byte, and knows nothing of the gateware.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registers of the camera as types; written by `tools/typed_registers.py`, not by hand."""
 
 from dataclasses import dataclass

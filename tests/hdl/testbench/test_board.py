@@ -46,9 +46,10 @@ def compiled(verilator: None, tmp_path_factory: pytest.TempPathFactory) -> Calla
 class Session(BoardScript):
     """A script with numbered requests; each waits for its response."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, trigger: int = 0) -> None:
         super().__init__()
         self.requests = 0
+        self.set("trigger", trigger)
         self.wait(20 * US)  # the PLL locks
 
     def request(self, request: control.Request) -> int:
@@ -119,7 +120,10 @@ def test_loss_of_lock_at_every_phase_of_a_pulse(
     session.load()
     losses, again, checks = [], [], []
     session.write("faults", 0xFFFF)
-    for step in range(-2, 11):
+    session.write("arm", ARM_KEY)
+    before_any = session.trigger()
+    session.wait(2 * US)
+    for step in range(-5, 11):
         session.write("arm", ARM_KEY)
         session.trigger()
         session.wait(LATENCY - 8 * TICK + step * TICK)
@@ -155,9 +159,27 @@ def test_loss_of_lock_at_every_phase_of_a_pulse(
         assert faults & FAULT_BIT
     assert responses[count].payload == (len(losses),)
     assert not responses[cleared].payload[0] & FAULT_BIT
-    # armed again, it fires as before
+    # armed again, it fires as before, and as late: no I/O register starts half a clock off
+    (first, _), *_ = run.pulses(0, before_any, before_any + US)
+    (again_first, _), *_ = run.pulses(0, last, last + US)
+    assert abs((again_first - last) - (first - before_any)) <= TICK
     for channel in range(9):
         assert [width for _, width in run.pulses(channel, last, last + US)] == [8 * TICK]
+
+
+@BOARDS
+def test_a_trigger_that_is_high_from_the_beginning_is_no_edge(
+    compiled: Callable[[str], Path], board: str
+):
+    session = Session(trigger=1)
+    none = session.read("triggers_seen")
+    session.set("trigger", 0)
+    session.wait(US)
+    session.trigger()
+    one = session.read("triggers_seen")
+    responses = run_board(compiled(board), session).responses()
+    assert responses[none].payload == (0,)
+    assert responses[one].payload == (1,)
 
 
 @BOARDS

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exposure control: triggers for the illuminator, frame sync, and readout requests."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame guard, between a sensor that cannot wait and a formatter that may be busy.
 
 Every requested readout ends in exactly one of three ways. It is *passed* to the formatter

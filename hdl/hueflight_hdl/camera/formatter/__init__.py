@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame formatter: turns codes into frame packets without a frame buffer.
 
 A *beat* is the `lanes` codes that the sensor port delivers in one clock; a *group* is eight codes,

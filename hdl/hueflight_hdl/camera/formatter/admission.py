@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Admission of beats: a chunk begins only when a bank is free for it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The write position of a group of codes: a bank, and a place in it."""
 
 from __future__ import annotations

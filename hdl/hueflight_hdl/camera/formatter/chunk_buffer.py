@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The chunk buffer: keeps every chunk in both forms until its hits have been counted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chunk descriptors: what the reader must know of a chunk before its first byte is sent."""
 
 from __future__ import annotations

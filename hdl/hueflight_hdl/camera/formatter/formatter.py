@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The frame formatter: turns codes from the sensor into finished packets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The eight words of a frame's header."""
 
 from __future__ import annotations

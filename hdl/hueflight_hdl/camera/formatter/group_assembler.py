@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assembles beats into groups of eight codes."""
 
 from __future__ import annotations

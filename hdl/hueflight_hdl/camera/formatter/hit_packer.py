@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packs the nonzero codes (hits) of a chunk without gaps.
 
 A prefix count gives the place of each hit in the packed sequence, a concentrator of three levels

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CRC-32C of a packet at eight bytes a clock, cut into three stages.
 
 The register after eight bytes is A64·(register + first four) + A32·(last four), where Ak

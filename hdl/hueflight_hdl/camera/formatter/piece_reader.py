@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sequences the pieces of packets: decides in each clock which piece is fetched next.
 
 The size of every piece is known before it is fetched, so the position of each byte is decided

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Filters that leave out codes: pixel mask, region of interest, time gate."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The memory of the pixel mask: written by the host, read with every beat."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference model of the formatter: filters in NumPy and the encoder of the protocol."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fills in what is known last: sequence number, header check, packet length and CRC."""
 
 from __future__ import annotations

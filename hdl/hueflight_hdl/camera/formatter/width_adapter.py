@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joins pieces of any number of bytes into words of eight bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface between the camera and a sensor's readout.
 
 Rules for a readout:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference model of the synthetic sensor in NumPy, bit for bit."""
 
 from __future__ import annotations

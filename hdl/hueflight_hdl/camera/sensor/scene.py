@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small scene for the synthetic sensor.
 
 The scene consists of two tables. One gives the distance and material of each block of pixels. The

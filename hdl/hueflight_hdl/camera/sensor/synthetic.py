@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A synthetic sensor: a counter, random codes, or a small scene."""
 
 from __future__ import annotations

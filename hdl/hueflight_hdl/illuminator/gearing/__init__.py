@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gearing: converts between words of several ticks per clock and faster signals at the pins."""

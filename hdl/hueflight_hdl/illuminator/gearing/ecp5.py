@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Four ticks per clock with the I/O registers and the edge clock of the ECP5.
 
 # Ref: Lattice FPGA-TN-02035, ECP5 and ECP5-5G High-Speed I/O Interface: GDDRX2.
@@ -12,11 +13,16 @@ from amaranth.lib import io
 class Ecp5Gearing:
     """ODDRX2F and IDDRX2F, between the domains `edge` (twice `pulse`) and `pulse`.
 
-    The resets of the I/O registers are tied off: a reset from the fabric would be the slowest
-    path of all, and the edge clock is stopped until the PLL has locked, so that every register
-    starts its division on the same edge (see `boards.ecp5_clocks`). ALIGNWD stays unconnected:
-    there is no word to align to. Only pins on the left and right of the device have these
-    registers.
+    The I/O registers are reset while the edge clock is stopped, so that all of them start their
+    division on the same edge, also after the PLL has lost its lock (see `boards.ecp5_clocks`).
+    The reset never changes while clocks run, so its long wires have no timing to meet. ALIGNWD
+    stays unconnected: there is no word to align to. Only pins on the left and right of the device
+    have these registers.
+
+    Parameters
+    ----------
+    reset : Value, optional
+        Reset of the I/O registers; by default they have none.
 
     The latencies count register stages: IDDRX2F gathers two edge-clock cycles, moves them to a
     register of the system clock and that to its output; ODDRX2F takes a word into a register of
@@ -27,6 +33,9 @@ class Ecp5Gearing:
     input_latency = 3
     output_latency = 2
 
+    def __init__(self, reset: Value | None = None) -> None:
+        self.reset = Const(0) if reset is None else reset
+
     def add_input(self, m: Module, name: str, port: object, /) -> Value:
         """Add a sampler and return its word."""
         m.submodules[f"{name}_buffer"] = buffer = io.Buffer("i", port)
@@ -36,7 +45,7 @@ class Ecp5Gearing:
             i_D=buffer.i,
             i_ECLK=ClockSignal("edge"),
             i_SCLK=ClockSignal("pulse"),
-            i_RST=Const(0),
+            i_RST=self.reset,
             **{f"o_Q{lane}": word[lane] for lane in range(4)},
         )
         return word
@@ -53,6 +62,6 @@ class Ecp5Gearing:
             o_Q=buffer.o,
             i_ECLK=ClockSignal("edge"),
             i_SCLK=ClockSignal("pulse"),
-            i_RST=Const(0),
+            i_RST=self.reset,
             **{f"i_D{lane}": word[lane] for lane in range(4)},
         )

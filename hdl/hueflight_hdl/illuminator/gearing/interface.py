@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface of a gearing: words of lanes inside the FPGA, a faster signal at the pin."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gearing with Amaranth's portable I/O buffers: double or single data rate on any family."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulation model of any gearing: a word of ticks per clock for each pin."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One LED channel: combines its pulse slots and applies the limits."""
 
 from __future__ import annotations

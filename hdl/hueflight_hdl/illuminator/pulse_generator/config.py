@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build-time configuration of a pulse generator: sizes, lanes, and limits for the LEDs."""
 
 from __future__ import annotations
@@ -8,13 +9,18 @@ from amaranth.lib import data
 from amaranth.utils import bits_for
 
 from hueflight_protocol.errors import HueflightError
-from hueflight_protocol.illuminator_map import MAX_CHANNELS, MAX_PULSES, MAX_STEPS
+from hueflight_protocol.illuminator_map import (
+    MAX_CHANNELS,
+    MAX_PULSES,
+    MAX_STEPS,
+    MIN_PERIOD_CLOCKS,
+)
 
 DELAY_BITS = 12
 """Delays are 0 to 4095 ticks."""
 PERIOD_BITS = 13
 """Trains are up to 4096 ticks long."""
-MIN_SPACING = 8
+MIN_SPACING = MIN_PERIOD_CLOCKS
 """Clocks from one served trigger to the next, at least; gives the sequencer time to step."""
 LANES = (1, 2, 4)
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pulse generator: everything in the fast clock domain `pulse`."""
 
 from __future__ import annotations

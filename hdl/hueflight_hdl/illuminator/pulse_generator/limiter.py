@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The output limiter: keeps the on-time and duty of an LED below limits of the build."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of the lanes in which external triggers arrive."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prefetches sequencer programs: finds the next step that is not skipped."""
 
 from __future__ import annotations

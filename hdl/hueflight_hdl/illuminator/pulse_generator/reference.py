@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference model of the pulse generator in Python, at tick resolution.
 
 It implements the rules of ``docs/illuminator.md`` independently of the registers and pipelines of

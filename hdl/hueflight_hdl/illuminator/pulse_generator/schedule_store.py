@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stores the pulses of both banks in the form that the pulse slots need."""
 
 from __future__ import annotations

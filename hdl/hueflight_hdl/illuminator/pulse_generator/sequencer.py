@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps through a program of banks, channel masks and markers."""
 
 from __future__ import annotations

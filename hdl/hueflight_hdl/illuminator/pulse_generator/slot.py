@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Generates one pulse of one channel from its delay and width."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decides which triggers begin a train, and counts the time in the train."""
 
 from __future__ import annotations

@@ -1,18 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sources of triggers: the oversampled external input and an internal timer."""
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In, Out
 
 from .config import MIN_SPACING, PulseConfig
 
+START_CLOCKS = 8
+"""More than the geared inputs take from configuration to the first true sample."""
+
 
 class ExternalTrigger(wiring.Component):
     """Finds the first rising (or falling) edge in each clock, and its lane.
 
-    Further edges in the same clock are ignored.
+    Further edges in the same clock are ignored, and so are all in the first `START_CLOCKS` after
+    configuration: an input that is high from the beginning has no edge.
 
     Members
     -------
@@ -45,12 +50,14 @@ class ExternalTrigger(wiring.Component):
         m = Module()
         lanes = range(self.config.lanes)
         settled = Signal(self.config.lanes)  # a second register: the first may be metastable
-        samples = Signal(self.config.lanes)
-        last = Signal(init=1)  # no edge where the input is high from the beginning
+        samples = Signal(self.config.lanes, init=-1)
+        last = Signal(init=1)
+        started = Signal(START_CLOCKS)
         edges = Signal(self.config.lanes)
         m.d.pulse += [
             settled.eq(self.samples),
-            samples.eq(settled),
+            started.eq(Cat(1, started)),
+            samples.eq(Mux(started[-1], settled, -1)),
             last.eq(samples[-1]),
             self.edge.eq(edges.any()),
         ]

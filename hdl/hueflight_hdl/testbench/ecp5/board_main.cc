@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Runs a whole generated top by commands from standard input; prints changes of its pins.
 //
 //   wait PS         let time pass

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Behavioural models of the ECP5 primitives that the boards use, for simulation of a whole
 // generated top. Function and clock relations follow Lattice FPGA-TN-02200 (sysCLOCK PLL/DLL) and
 // FPGA-TN-02035 (high-speed I/O interface, GDDRX2); there are no delays.

@@ -14,6 +14,11 @@ PHOTONS = (
 
 GRID = Record("Grid", "Scale of tables over the period.", (Field("cells_per_ns", "float32"),))
 PERIOD = Record("Period", "Time after which pulses repeat.", (Field("period_ns", "float32"),))
+SQUARES_SIZE = Record(
+    "SquaresSize",
+    "Shape of the image that squares lie in.",
+    (Field("rows", "int32"), Field("cols", "int32")),
+)
 POOL_SIZES = Record(
     "PoolSizes",
     "What a call of pool works on.",
@@ -71,6 +76,20 @@ WINDOWS = Function(
     ),
     (Buffer("result", "float32", "(window, pixel)"),),
 )
+SQUARES = Function(
+    "squares",
+    "photons in the window of each band at a delay, over squares of pixels",
+    (
+        *PHOTONS,
+        Buffer("size", SQUARES_SIZE),
+        Buffer("pixels", "int64", "(square,) middle of each square"),
+        Buffer("reach", "int32", "(square,) pixels to either side"),
+        Buffer("delays", "float32", "(square,)"),
+        Buffer("owners", "int8", "(cell,) window that a cell belongs to"),
+        Buffer("grid", GRID),
+    ),
+    (Buffer("result", "float32", "(square, window)"),),
+)
 SCORES = Function(
     "scores",
     "score and information of delays",
@@ -111,6 +130,6 @@ INTERFACE = Interface(
         Constant("MOST_GROUPS", MOST_GROUPS, "groups of bands by which neighbors are compared"),
         Constant("LANES", LANES, "pixels side by side"),
     ),
-    (GRID, PERIOD, POOL_SIZES, POOL_LIMITS),
-    (LIST, LAGS, WINDOWS, SCORES, POOL),
+    (GRID, PERIOD, SQUARES_SIZE, POOL_SIZES, POOL_LIMITS),
+    (LIST, LAGS, WINDOWS, SQUARES, SCORES, POOL),
 )

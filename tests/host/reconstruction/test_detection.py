@@ -29,7 +29,7 @@ def has_flag(image, flag: Quality) -> np.ndarray:
     return (image["quality"].values & int(flag)) > 0
 
 
-@pytest.mark.parametrize("method", ["joint", "paper"])
+@pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
 @pytest.mark.parametrize("photons", [10, 100, 1000, 10_000, 100_000])
 def test_background_alone_is_no_surface(
     instrument, calibration, draw, photons: int, method: str
@@ -44,7 +44,7 @@ def test_background_alone_is_no_surface(
     assert np.isfinite(image["background"].values[absent]).all()
 
 
-@pytest.mark.parametrize("method", ["joint", "paper"])
+@pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
 @pytest.mark.parametrize("background", [10.0, 1000.0])
 def test_a_surface_that_can_be_located_is_not_missed(
     instrument, calibration, draw, background: float, method: str
@@ -98,19 +98,19 @@ def test_counts_that_no_pulse_explains_give_no_depth_behind_the_camera(
     for code in (1, 100, 300, 499):
         broken = counts.copy()
         broken[..., code] += 3000
-        for method in ("joint", "paper"):
+        for method in ("joint", "paper", "pooled"):
             image = hf.reconstruct(broken, calibration, method=method)
             depth = image["depth"].values
             assert not (depth <= 0).any()
             assert (image["quality"].values[np.isnan(depth)] > 0).all()
 
 
-def test_the_published_method_flags_what_lies_beyond_its_search(
-    instrument, calibration, draw
-) -> None:
-    for depth in (2.65, 3.0):  # half the spacing of the pulses is 2.25 m beyond the reference
-        counts = draw(instrument, depth=depth, photons=2000, background=20, seed=6)
-        image = hf.reconstruct(counts, calibration, method="paper")
+@pytest.mark.parametrize("method", ["paper", "pooled"])
+def test_what_lies_beyond_the_search_is_flagged(instrument, calibration, draw, method: str) -> None:
+    photons = {"paper": 2000, "pooled": 10}[method]
+    for depth in (2.75, 3.0):  # half the spacing of the pulses is 2.25 m beyond the reference
+        counts = draw(instrument, depth=depth, photons=photons, background=0.1 * photons, seed=6)
+        image = hf.reconstruct(counts, calibration, method=method)
         assert has_flag(image, Quality.OUT_OF_RANGE).mean() > 0.99
         assert (np.isnan(image["depth"].values) == has_flag(image, Quality.OUT_OF_RANGE)).all()
 

@@ -37,6 +37,7 @@ from hueflight.reconstruction.pooled.adaptive_weights import (
     unmixed_of,
     windows_of,
 )
+from hueflight.reconstruction.pooled.detection import without_return
 from hueflight.reconstruction.pooled.kernels import (
     Floats,
     Photons,
@@ -109,8 +110,10 @@ def estimate(
     pilot = sight.delays(np.concatenate(squares, axis=-1))
     pilot = _sharpened(seen, pilot, sight, calibration.usable, tables, threads)
     pools = grown(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
+    absent = without_return(seen, pools, reach, tables, search_ns, threads)
     pooled = _in_metres(
         pools,
+        absent,
         own,
         prepared.exposures,
         calibration,
@@ -324,6 +327,7 @@ def _square_sums(
 
 def _in_metres(
     pools: Pools,
+    absent: NDArray[np.bool_],
     own: Floats,
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
@@ -353,12 +357,22 @@ def _in_metres(
     quality[calibration.dead] |= int(Quality.DEAD)
     quality[calibration.hot] |= int(Quality.HOT)
     blind_ns = joint.BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
-    quality[calibration.usable & ~(deviation_ns < blind_ns)] |= int(Quality.LOW_SIGNAL)
-    unknown = quality != 0
+    low_ns, high_ns = search_ns[0] + joint.LIMIT_NS, search_ns[1] - joint.LIMIT_NS
+    outside = (pools.delays_ns <= low_ns) | (pools.delays_ns >= high_ns)
+    # a reference at the distance 0 does not tell where the camera is
+    outside |= (calibration.distance > 0) & (depth <= 0)
+    flags = {
+        Quality.LOW_SIGNAL: ~(deviation_ns < blind_ns),
+        Quality.NO_RETURN: absent,
+        Quality.OUT_OF_RANGE: outside & ~absent,
+    }
+    for flag, flagged in flags.items():
+        quality[calibration.usable & flagged] |= int(flag)
     background = unmixed[-1] * calibration.bin_width_ns / calibration.bins.span_ns
     resolution = np.sqrt(pools.depth_pixels).astype(np.float64)
-    for values in (depth, depth_std, background, resolution, *reflectance, *reflectance_std):
-        values[unknown] = np.nan
+    background[~calibration.usable | (photons == 0)] = np.nan
+    for values in (depth, depth_std, resolution, *reflectance, *reflectance_std):
+        values[quality != 0] = np.nan
     return Estimates(
         depth=depth,
         depth_std=depth_std,

@@ -33,6 +33,8 @@ from hueflight.backend.pooled import (
     POOL_LIMITS,
     POOL_SIZES,
     SCORES,
+    SQUARES,
+    SQUARES_SIZE,
     WINDOWS,
 )
 
@@ -295,6 +297,71 @@ def window_counts(
         return result
     cell = _cells(photons, delays_ns[photons.owners], cells_per_ns, windows.size)
     np.add.at(result, (windows[cell], photons.owners), photons.weights)
+    return result
+
+
+def square_counts(
+    photons: Photons,
+    shape: tuple[int, int],
+    pixels: NDArray[np.int64],
+    reach: NDArray[np.int32],
+    delays_ns: Floats,
+    windows: NDArray[np.int8],
+    cells_per_ns: float,
+    count: int,
+) -> Floats:
+    """Count the photons of squares of pixels by window, all after the delay of the middle.
+
+    Parameters
+    ----------
+    photons : Photons
+        Photons of all pixels.
+    shape : tuple of int
+        Rows and columns of the image.
+    pixels : ndarray of int64, shape (square,)
+        Pixel in the middle of each square.
+    reach : ndarray of int32, shape (square,)
+        Pixels to either side of the middle; the image's border cuts squares off.
+    delays_ns : ndarray of float32, shape (square,)
+        Delay of the middle.
+    windows : ndarray of int8, shape (cell,)
+        Window that each cell belongs to.
+    cells_per_ns : float
+        Cells per ns.
+    count : int
+        Number of windows.
+
+    Returns
+    -------
+    ndarray of float32, shape (square, window)
+        Photons.
+    """
+    result = np.zeros((pixels.size, count), np.float32)
+    native = backend.compiled("pooled")
+    if native is not None:
+        native.squares(
+            *SQUARES.arguments(
+                **photons.buffers(),
+                size=SQUARES_SIZE.pack(rows=shape[0], cols=shape[1]),
+                pixels=np.ascontiguousarray(pixels, np.int64),
+                reach=np.ascontiguousarray(reach, np.int32),
+                delays=np.ascontiguousarray(delays_ns, np.float32),
+                owners=windows,
+                grid=GRID.pack(cells_per_ns=cells_per_ns),
+                result=result,
+            )
+        )
+        return result
+    numbers = np.arange(photons.pixels).reshape(shape)
+    for square, (pixel, far) in enumerate(zip(pixels, reach, strict=True)):
+        row, col = divmod(int(pixel), shape[1])
+        inside = numbers[max(row - far, 0) : row + far + 1, max(col - far, 0) : col + far + 1]
+        entries = np.concatenate(
+            [np.arange(photons.starts[line[0]], photons.starts[line[-1] + 1]) for line in inside]
+        )
+        part = Photons(photons.starts[:0], photons.times_ns[entries], photons.weights[entries])
+        cell = _cells(part, delays_ns[square], cells_per_ns, windows.size)
+        result[square] = np.bincount(windows[cell], part.weights, count)
     return result
 
 

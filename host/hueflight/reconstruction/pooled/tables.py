@@ -33,6 +33,8 @@ class Tables:
         Share of each band in the light of a white target.
     windows : ndarray of int8, shape (cell,)
         Band whose pulse is strongest in the cell, or one more for the background.
+    mixing : ndarray of float, shape (window, band + 1)
+        Share of the light of each band, and of background, that falls into each window.
     unmixing : ndarray of float32, shape (band + 1, window)
         Conversion from photons in windows to amplitudes and background.
     groups : ndarray of float32, shape (window, group)
@@ -48,6 +50,7 @@ class Tables:
     slopes: Floats
     white: NDArray[np.float64]
     windows: NDArray[np.int8]
+    mixing: NDArray[np.float64]
     unmixing: Floats
     groups: Floats
     quiet: NDArray[np.bool_]
@@ -119,6 +122,7 @@ def _make_tables(calibration: Calibration, search_ns: tuple[float, float]) -> Ta
         slopes=slopes.astype(np.float32),
         white=white,
         windows=windows.astype(np.int8),
+        mixing=mixing,
         unmixing=np.linalg.pinv(mixing).astype(np.float32),
         groups=groups.astype(np.float32),
         quiet=~near[cells : 2 * cells],

@@ -15,7 +15,14 @@ from hueflight.errors import HueflightError
 from hueflight.reconstruction.inputs import prepare_histogram
 from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.pooled import estimate as few_photons
-from hueflight.reconstruction.pooled.kernels import Likeness, Limits, list_photons, neighbors, pool
+from hueflight.reconstruction.pooled.kernels import (
+    Likeness,
+    Limits,
+    list_photons,
+    neighbors,
+    pool,
+    square_counts,
+)
 from hueflight.reconstruction.quality import Quality
 
 native = pytest.mark.skipif(not backend.available("pooled"), reason=backend.why_not("pooled"))
@@ -170,6 +177,46 @@ def test_where_no_light_comes_back(instrument, calibration):
     image = hf.reconstruct(counts, calibration, method="pooled")
     assert (image.quality.values & Quality.LOW_SIGNAL).mean() > 0.5
     assert np.isnan(image.depth.values[image.quality.values != 0]).all()
+
+
+@pytest.mark.parametrize("photons", [0.3, 1, 3, 10, 100])
+def test_background_alone_is_no_surface(instrument, calibration, draw, photons):
+    counts = draw(instrument, photons=1e-9, background=photons, seed=int(10 * photons))
+    quality = hf.reconstruct(counts, calibration, method="pooled").quality.values
+    # false alarms come as pools: 1 % is a single one, expected in fewer than one image of ten
+    assert ((quality & Quality.NO_RETURN) > 0).mean() > 0.99
+
+
+def test_an_empty_sky_beside_a_surface_stays_empty(instrument, calibration, draw):
+    """The surface is kept up to its edge, and does not grow over it by more than two pixels."""
+    counts = draw(instrument, depth=0.9, photons=5, background=1, seed=1)
+    counts[:, 20:] = draw(instrument, photons=1e-9, background=1, seed=2)[:, 20:]
+    image = hf.reconstruct(counts, calibration, method="pooled")
+    absent = (image.quality.values & Quality.NO_RETURN) > 0
+    assert absent[:, 22:].mean() > 0.99
+    assert absent[:, :18].mean() < 0.01
+    assert np.isnan(image.depth.values[absent]).all()
+    assert np.isfinite(image.background.values[absent]).all()
+
+
+@native
+def test_squares_in_c_are_squares_in_numpy(monkeypatch):
+    rng = np.random.default_rng(5)
+    counts = rng.poisson(0.05, (6 * 9, 40)).astype(np.uint16)
+    photons = list_photons(counts, np.arange(40, dtype=np.float32), np.zeros(54, np.float32), 40)
+    pixels, reach = np.arange(54), rng.integers(0, 12, 54).astype(np.int32)
+    delays = rng.uniform(-20, 20, 54).astype(np.float32)
+    windows = rng.integers(0, 3, 80).astype(np.int8)
+    results = []
+    for implementation in ("c", "numpy"):
+        monkeypatch.setenv("HUEFLIGHT_KERNELS", implementation)
+        results.append(square_counts(photons, (6, 9), pixels, reach, delays, windows, 2.0, 3))
+    np.testing.assert_array_equal(*results)
+    everything = reach >= 8
+    np.testing.assert_array_equal(results[0][everything].sum(axis=1), counts.sum())
+    np.testing.assert_array_equal(
+        results[0][reach == 0].sum(axis=1), counts[reach == 0].sum(axis=1)
+    )
 
 
 def test_the_picture_turns_with_the_scene(instrument, calibration, draw):

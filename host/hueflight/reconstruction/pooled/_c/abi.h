@@ -4,7 +4,7 @@
 #define HUEFLIGHT_POOLED_ABI_H
 #include <stdint.h>
 
-#define ABI "09385aec5ea5566a" /* hash of what follows */
+#define ABI "03edb5e658bb1da2" /* hash of what follows */
 
 enum { MOST_PLANES = 40 }; /* planes of data that have room in the registers */
 enum { MOST_GROUPS = 8 }; /* groups of bands by which neighbors are compared */
@@ -21,6 +21,13 @@ typedef struct {
     float period_ns;
 } Period;
 _Static_assert(sizeof(Period) == 4, "Period is laid out as NumPy lays it out");
+
+/* Shape of the image that squares lie in. */
+typedef struct {
+    int32_t rows;
+    int32_t cols;
+} SquaresSize;
+_Static_assert(sizeof(SquaresSize) == 8, "SquaresSize is laid out as NumPy lays it out");
 
 /* What a call of pool works on. */
 typedef struct {
@@ -80,6 +87,22 @@ enum {
     WINDOWS_RESULT = 6, /* float32: (window, pixel) */
     WINDOWS_READS = 6,
     WINDOWS_BUFFERS = 7
+};
+
+/* squares: photons in the window of each band at a delay, over squares of pixels */
+enum {
+    SQUARES_STARTS = 0, /* int64: (pixel + 1,) first entry of each pixel */
+    SQUARES_TIMES = 1, /* float32: (entry,) within the period, ns */
+    SQUARES_WEIGHTS = 2, /* float32: (entry,) photons that share the time */
+    SQUARES_SIZE = 3, /* SquaresSize */
+    SQUARES_PIXELS = 4, /* int64: (square,) middle of each square */
+    SQUARES_REACH = 5, /* int32: (square,) pixels to either side */
+    SQUARES_DELAYS = 6, /* float32: (square,) */
+    SQUARES_OWNERS = 7, /* int8: (cell,) window that a cell belongs to */
+    SQUARES_GRID = 8, /* Grid */
+    SQUARES_RESULT = 9, /* float32: (square, window) */
+    SQUARES_READS = 9,
+    SQUARES_BUFFERS = 10
 };
 
 /* scores: score and information of delays */

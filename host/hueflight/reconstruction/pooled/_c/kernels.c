@@ -67,6 +67,8 @@ typedef struct {
 static int cell_of(float time, float delay, float cells_per_ns, int cells)
 {
     int cell = (int)floorf((time - delay) * cells_per_ns);
+    if ((unsigned)cell < (unsigned)cells) /* nearly always: a division takes longer */
+        return cell;
     cell %= cells;
     return cell < 0 ? cell + cells : cell;
 }
@@ -100,6 +102,27 @@ static void windows(const Photons *seen, const float *delays, const int8_t *owne
             int cell = cell_of(seen->times[i], delays[p], cells_per_ns, cells);
             result[owners[cell] * seen->pixels + p] += seen->weights[i];
         }
+}
+
+/* Photons of all pixels of a square in the window of each band at the delay of its middle. Photons
+ * of pixels that are neighbors in a row follow one another. Result (square, window). */
+static void squares(const Photons *seen, int rows, int cols, const int64_t *pixels,
+                    const int32_t *reach, int64_t count, const float *delays, const int8_t *owners,
+                    int cells, float cells_per_ns, int each, float *result)
+{
+    for (int64_t s = 0; s < count; s++) {
+        float *here = result + s * each;
+        memset(here, 0, sizeof(float) * (size_t)each);
+        int row = (int)(pixels[s] / cols), col = (int)(pixels[s] % cols), r = reach[s];
+        int left = col > r ? col - r : 0, right = col + r < cols ? col + r : cols - 1;
+        int bottom = row + r < rows ? row + r : rows - 1;
+        for (int y = row > r ? row - r : 0; y <= bottom; y++) {
+            int64_t end = seen->starts[(int64_t)y * cols + right + 1];
+            for (int64_t i = seen->starts[(int64_t)y * cols + left]; i < end; i++)
+                here[owners[cell_of(seen->times[i], delays[s], cells_per_ns, cells)]]
+                    += seen->weights[i];
+        }
+    }
 }
 
 /* Derivative of the log-likelihood by the delay and its square's sum, the information. */
@@ -299,10 +322,13 @@ typedef struct {
 } Call;
 
 _Static_assert((int)LAGS_STARTS == (int)WINDOWS_STARTS && (int)LAGS_STARTS == (int)SCORES_STARTS
+               && (int)LAGS_STARTS == (int)SQUARES_STARTS
+               && (int)LAGS_WEIGHTS == (int)SQUARES_WEIGHTS
                && (int)LAGS_WEIGHTS == (int)WINDOWS_WEIGHTS
                && (int)LAGS_WEIGHTS == (int)SCORES_WEIGHTS, "photons come first");
 _Static_assert((int)LAGS_BUFFERS <= (int)SCORES_BUFFERS
-               && (int)WINDOWS_BUFFERS <= (int)SCORES_BUFFERS, "there is room for all buffers");
+               && (int)WINDOWS_BUFFERS <= (int)SCORES_BUFFERS
+               && (int)SQUARES_BUFFERS <= (int)SCORES_BUFFERS, "there is room for all buffers");
 
 static int64_t floats(const Call *call, int place) { return items(&call->held[place], 4); }
 
@@ -386,6 +412,47 @@ static PyObject *py_windows(PyObject *self, PyObject *args)
     return over_photons(args, WINDOWS_BUFFERS, WINDOWS_READS, windows_fit, run_windows);
 }
 
+static int64_t squares_of(const Call *call) { return items(&call->held[SQUARES_PIXELS], 8); }
+
+static int squares_fit(const Call *call)
+{
+    const Py_buffer *held = call->held;
+    int64_t cells = items(&held[SQUARES_OWNERS], 1), count = squares_of(call);
+    const int8_t *owners = held[SQUARES_OWNERS].buf;
+    const int64_t *pixels = held[SQUARES_PIXELS].buf;
+    const int32_t *reach = held[SQUARES_REACH].buf;
+    const SquaresSize *size = held[SQUARES_SIZE].buf;
+    int64_t each = count > 0 ? floats(call, SQUARES_RESULT) / count : 0;
+    int fits = held[SQUARES_SIZE].len == sizeof *size && size->rows > 0 && size->cols > 0
+            && (int64_t)size->rows * size->cols == call->seen.pixels && has_grid(call, SQUARES_GRID)
+            && floats(call, SQUARES_REACH) == count && floats(call, SQUARES_DELAYS) == count
+            && floats(call, SQUARES_RESULT) == each * count;
+    for (int64_t s = 0; fits && s < count; s++)
+        fits = pixels[s] >= 0 && pixels[s] < call->seen.pixels && reach[s] >= 0
+            && reach[s] <= size->rows + size->cols;
+    for (int64_t cell = 0; fits && count > 0 && cell < cells; cell++)
+        fits = owners[cell] >= 0 && owners[cell] < each;
+    return fits;
+}
+
+static void run_squares(const Call *call)
+{
+    const Py_buffer *held = call->held;
+    const SquaresSize *size = held[SQUARES_SIZE].buf;
+    int64_t count = squares_of(call);
+    if (count > 0)
+        squares(&call->seen, size->rows, size->cols, held[SQUARES_PIXELS].buf,
+                held[SQUARES_REACH].buf, count, held[SQUARES_DELAYS].buf, held[SQUARES_OWNERS].buf,
+                (int)items(&held[SQUARES_OWNERS], 1), cells_per_ns(call, SQUARES_GRID),
+                (int)(floats(call, SQUARES_RESULT) / count), held[SQUARES_RESULT].buf);
+}
+
+static PyObject *py_squares(PyObject *self, PyObject *args)
+{
+    (void)self;
+    return over_photons(args, SQUARES_BUFFERS, SQUARES_READS, squares_fit, run_squares);
+}
+
 static int scores_fit(const Call *call)
 {
     int64_t pixels = call->seen.pixels;
@@ -463,6 +530,7 @@ static PyMethodDef methods[] = {
     {"list", py_list, METH_VARARGS, "Photons of pixels."},
     {"lags", py_lags, METH_VARARGS, "Log-likelihood of lags."},
     {"windows", py_windows, METH_VARARGS, "Photons in the window of each band at a delay."},
+    {"squares", py_squares, METH_VARARGS, "Photons in the window of each band, over squares."},
     {"scores", py_scores, METH_VARARGS, "Score and information of the delay."},
     {"pool", py_pool, METH_VARARGS, "Weighted sums over neighbors."},
     {NULL, NULL, 0, NULL},

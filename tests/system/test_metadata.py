@@ -1,0 +1,43 @@
+"""Facts about the project that stand in several files agree."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def tracked(*patterns: str) -> list[Path]:
+    done = subprocess.run(
+        ["git", "ls-files", *patterns], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        pytest.skip("not a clone: git does not know the files")
+    return [ROOT / name for name in done.stdout.split()]
+
+
+def test_the_citation_agrees_with_the_package():
+    yaml = pytest.importorskip("yaml", reason="needs PyYAML")
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == PROJECT["version"]
+    assert citation["license"] == PROJECT["license"]
+    assert [author["name"] for author in citation["authors"]] == [
+        author["name"] for author in PROJECT["authors"]
+    ]
+    published = citation["references"][0]["doi"]
+    assert PROJECT["urls"]["Paper"].endswith(published)
+
+
+def test_notice_names_every_data_file_in_the_package():
+    notice = (ROOT / "NOTICE").read_text()
+    data = [path.relative_to(ROOT).as_posix() for path in tracked("host/*.csv")]
+    assert data
+    assert [name for name in data if name not in notice] == []
+    named = re.findall(r"^- (\S+):", notice, re.MULTILINE)
+    assert all((ROOT / name).exists() for name in named)

@@ -85,6 +85,7 @@ def align(
             lags = correlate(light[row], pooled, search + ceil(half_width))
             delay[row] = peak_centroid(lags, search=search, half_width=half_width)
         delay -= np.median(delay[~(dead | hot)]) if (~(dead | hot)).any() else 0.0
+        del aligned  # or there were three captures in memory
         aligned = _shift_bins(light, -np.rint(delay).astype(np.intp))
         hot = find_hot(aligned, pooled, dead)
         weight = (~(dead | hot)).astype(np.float64)
@@ -135,7 +136,13 @@ def refined_delays(
         search_ns=(-shortest_ns, shortest_ns),
         offsets_ns=(float(delay_ns[usable].min()), float(delay_ns[usable].max())),
     )
-    found = fit_pixels(light[usable], delay_ns[usable], plan, FitOptions(assessment=False))
+    found = fit_pixels(
+        light.reshape(-1, light.shape[-1]),
+        delay_ns[usable],
+        plan,
+        FitOptions(assessment=False),
+        pixels=np.flatnonzero(usable),
+    )
     delays, variance = np.zeros_like(delay_ns), np.ones_like(delay_ns)
     delays[usable] = delay_ns[usable] + found.delay_ns
     variance[usable] = found.delay_std_ns**2

@@ -262,7 +262,10 @@ def _arrived(
         return light
     hits = light.sum(axis=-1, dtype=np.float64)
     whole = coates_correction(light, photons_per_period(hits, frames, instrument))
-    return (whole * lost_photons_factor(hits, frames)[..., None]).astype(np.float32)
+    arrived = np.empty(light.shape, np.float32)
+    for row, factor in enumerate(lost_photons_factor(hits, frames)):
+        arrived[row] = whole[row] * factor[:, None]
+    return arrived
 
 
 def _band_captures(bands: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.float32]:

@@ -18,6 +18,8 @@ from hueflight.model.waveforms import Templates, circle_of, fit_waveform
 
 KNOTS_PER_FWHM = 12  #: of the shortest pulse; finer knots only fit noise
 DELAY_STEPS_PER_BIN = 8  #: pixels whose delays round to the same step are pooled
+MOST_GROUPS = 64  #: with more pools than that, steps are doubled, but
+COARSEST_STEP = 0.5  #: not beyond this part of the waveforms' knots
 TrainModel = tuple[list[tuple[int, Pulse]], float]  #: (band, pulse) of each, background per ns
 
 NOISE_MARGIN = 4.0  #: a waveform ends where it is this many standard deviations above 0
@@ -45,6 +47,8 @@ class PooledCounts:
         delay_ns: NDArray[np.floating],
         usable: NDArray[np.bool_],
         bins: TimeBins,
+        *,
+        knot_ns: float,
     ) -> PooledCounts:
         """Pool the usable pixels of a capture.
 
@@ -53,11 +57,14 @@ class PooledCounts:
         light : ndarray of float, shape (row, col, bin)
             Counts in time order.
         delay_ns : ndarray of float, shape (row, col)
-            Delay of each pixel, ns; rounded to an eighth of a bin.
+            Delay of each pixel, ns; rounded to an eighth of a bin, or more where that makes many
+            groups.
         usable : ndarray of bool, shape (row, col)
             Pixels to pool.
         bins : TimeBins
             Bins of the counts.
+        knot_ns : float
+            Spacing of the knots of the waveforms, ns.
 
         Returns
         -------
@@ -65,11 +72,15 @@ class PooledCounts:
             One group for each delay that occurs.
         """
         step_ns = bins.span_ns / bins.count / DELAY_STEPS_PER_BIN
-        steps, group = np.unique(np.rint(delay_ns[usable] / step_ns), return_inverse=True)
+        delays_ns = delay_ns[usable]
+        steps, group = np.unique(np.rint(delays_ns / step_ns), return_inverse=True)
+        while steps.size > MOST_GROUPS and 2 * step_ns <= COARSEST_STEP * knot_ns:
+            step_ns *= 2
+            steps, group = np.unique(np.rint(delays_ns / step_ns), return_inverse=True)
         counts = np.zeros((steps.size, light.shape[-1]))
-        pixels = light[usable]
+        flat, pixels = light.reshape(-1, light.shape[-1]), np.flatnonzero(usable)
         for index in range(steps.size):
-            counts[index] = pixels[group == index].sum(axis=0, dtype=np.float64)
+            counts[index] = flat[pixels[group == index]].sum(axis=0, dtype=np.float64)
         return cls(counts, steps * step_ns)
 
     def aligned(self, values: NDArray[np.float64], bins: TimeBins) -> NDArray[np.float64]:
@@ -149,7 +160,7 @@ def templates_from_bands(
     knots = knots_for(instrument, bins)
     coefficients = []
     for band, light in enumerate(captures):
-        pool = PooledCounts.of(light, delay_ns, usable, bins)
+        pool = PooledCounts.of(light, delay_ns, usable, bins, knot_ns=circle_of(bins) / knots)
         name = instrument.bands[band].name
         mine = [window for window in windows if window.band == band]
         _require_own_light(pool, mine, bins, name)
@@ -194,9 +205,10 @@ def fit_overlapping_pulses(
     CalibrationError
         If counts are unknown, because pixels recorded a photon in each of their exposures.
     """
-    pool = PooledCounts.of(light, delay_ns, usable, bins)
     if len(instrument.bands) == 1:
         return [], 0.0  # all light is the one band's
+    knot_ns = circle_of(bins) / knots_for(instrument, bins)
+    pool = PooledCounts.of(light, delay_ns, usable, bins, knot_ns=knot_ns)
     return fit_pulse_train(pool.aligned(pool.counts, bins), windows, instrument, bins)
 
 
@@ -242,7 +254,7 @@ def templates_from_train(
         If a band shows no light above its background.
     """
     knots = knots_for(instrument, bins)
-    pool = PooledCounts.of(light, delay_ns, usable, bins)
+    pool = PooledCounts.of(light, delay_ns, usable, bins, knot_ns=circle_of(bins) / knots)
     if len(instrument.bands) == 1:
         background = _before_pulses(pool, list(windows), bins)
         name = instrument.bands[0].name
@@ -287,7 +299,7 @@ def brightness_of(
     ndarray of float, shape (band,)
         Photons per capture.
     """
-    pool = PooledCounts.of(light, delay_ns, usable, bins)
+    pool = PooledCounts.of(light, delay_ns, usable, bins, knot_ns=templates.knot_ns)
     flat = bins.widths_ns / bins.span_ns
     share = pool.counts.sum(axis=-1) / pool.counts.sum()
     model = np.concatenate(

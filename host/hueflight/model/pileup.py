@@ -115,10 +115,27 @@ def coates_correction(
     """
     if per_period is None or float(np.max(per_period, initial=0.0)) < NEGLIGIBLE:
         return light
+    rates = np.asarray(per_period)
+    if light.ndim < 3:
+        return _corrected(light, rates)
+    # row by row: the doubles of a whole capture would take several times its memory
+    whole = np.empty(light.shape, _float_type(light))
+    for row in range(len(light)):
+        whole[row] = _corrected(light[row], rates[row])
+    return whole
+
+
+def _float_type(light: NDArray[np.generic]) -> np.dtype[np.floating]:
+    return light.dtype if light.dtype.kind == "f" else np.dtype(np.float32)
+
+
+def _corrected(
+    light: NDArray[np.floating], per_period: NDArray[np.floating]
+) -> NDArray[np.floating]:
     earlier = np.cumsum(light, axis=-1, dtype=np.float64)
     total = np.maximum(earlier[..., -1:], 1e-300)
     later = (earlier[..., -1:] - earlier + 0.5 * light) / total  # 1 − F
-    rate = np.asarray(per_period)[..., None]
+    rate = per_period[..., None]
     corrected = light / (np.exp(-rate) - later * np.expm1(-rate))
     corrected *= total / np.maximum(corrected.sum(axis=-1, keepdims=True), 1e-300)
-    return corrected.astype(light.dtype if light.dtype.kind == "f" else np.float32)
+    return corrected.astype(_float_type(light))

@@ -196,7 +196,11 @@ def circle_of(bins: TimeBins) -> float:
 
 
 def design_matrix(
-    edges_ns: NDArray[np.floating], knots: int, circle_ns: float
+    edges_ns: NDArray[np.floating],
+    knots: int,
+    circle_ns: float,
+    *,
+    chosen: NDArray[np.intp] | None = None,
 ) -> sparse.csr_matrix:
     """Integrate the B-spline of every knot over every bin: shares are matrix @ coefficients.
 
@@ -208,6 +212,8 @@ def design_matrix(
         Number of knots on the circle.
     circle_ns : float
         Circumference of the circle, ns.
+    chosen : ndarray of int, optional
+        Bins whose rows are wanted; by default all.
 
     Returns
     -------
@@ -218,14 +224,16 @@ def design_matrix(
 
     knot_ns = circle_ns / knots
     position = np.asarray(edges_ns, np.float64) / knot_ns
-    bins = position.size - 1
-    first = np.floor(position[:-1]).astype(np.intp) - 1
-    last = np.floor(position[1:]).astype(np.intp) + 2
-    offsets = np.arange(int((last - first).max()) + 1)
+    begin, end = position[:-1], position[1:]
+    if chosen is not None:
+        begin, end = begin[chosen], end[chosen]
+    bins = begin.size
+    first = np.floor(begin).astype(np.intp) - 1
+    last = np.floor(end).astype(np.intp) + 2
+    offsets = np.arange(int((last - first).max(initial=0)) + 1)
     index = first[:, None] + offsets
     weight = knot_ns * (
-        b_spline_integral(position[1:, None] - index)
-        - b_spline_integral(position[:-1, None] - index)
+        b_spline_integral(end[:, None] - index) - b_spline_integral(begin[:, None] - index)
     )
     rows = np.broadcast_to(np.arange(bins)[:, None], index.shape)
     return sparse.csr_matrix(
@@ -276,12 +284,14 @@ def fit_waveform(
     right = np.zeros(chosen.size)
     signal = counts - background
     for group in np.flatnonzero(share):
-        matrix = share[group] * design_matrix(bins.edges_ns - offsets_ns[group], knots, circle_ns)
+        edges_ns = bins.edges_ns - offsets_ns[group]
+        near = _near(edges_ns, support, circle_ns / knots)
+        matrix = share[group] * design_matrix(edges_ns, knots, circle_ns, chosen=near)
         matrix = matrix[:, chosen]
-        weight = 1 / np.maximum(_smoothed(counts[group]), 1.0)
+        weight = 1 / np.maximum(_smoothed(counts[group]), 1.0)[near]
         weighted = matrix.multiply(weight[:, None]).tocsr()
         normal += (weighted.T @ matrix).toarray()
-        right += weighted.T @ signal[group]
+        right += weighted.T @ signal[group][near]
     # a small smoothness penalty: knots that no bin resolves must not oscillate
     ridge = 1e-9 * np.trace(normal) / max(chosen.size, 1)
     bend = np.diff(np.eye(chosen.size), n=2, axis=0) if chosen.size > 2 else np.eye(chosen.size)
@@ -289,6 +299,20 @@ def fit_waveform(
     coefficients = np.zeros(knots)
     coefficients[chosen] = np.maximum(solution, 0)
     return coefficients
+
+
+def _near(
+    edges_ns: NDArray[np.float64], support: NDArray[np.bool_], knot_ns: float
+) -> NDArray[np.intp]:
+    """Bins that a spline of the support reaches."""
+    running = np.concatenate([[0], np.cumsum(support)])
+
+    def before(knot: NDArray[np.intp]) -> NDArray[np.intp]:
+        turns, place = np.divmod(knot, support.size)
+        return turns * running[-1] + running[place]
+
+    knot = np.floor(edges_ns / knot_ns).astype(np.intp)
+    return np.flatnonzero(before(knot[1:] + 3) > before(knot[:-1] - 1))
 
 
 def _smoothed(counts: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -29,6 +29,9 @@ from hueflight.model.waveforms import Templates
 
 PIXEL_PLANES = ("pixel_delay_ns", "pixel_delay_std_ns", "flat_field", "dead", "hot")
 BAND_VECTORS = ("gain", "brightness")
+#: not in calibrations of versions that did not state them
+NOISE_PLANES = ("flat_field_std",)
+NOISE_VECTORS = ("brightness_std", "waveform_delay_std_ns")
 FEWEST_EXPOSURES = 1e-30  #: fewer are none
 
 
@@ -68,6 +71,12 @@ class Calibration:
         Brightness of each pixel relative to the average pixel.
     dead, hot : ndarray of bool, shape (row, col)
         Pixels that never fire, and pixels that fire whatever the light.
+    flat_field_std : ndarray of float, shape (row, col), or None
+        Standard deviation of `flat_field`; None where an earlier version calibrated.
+    brightness_std : ndarray of float, shape (band,), or None
+        Standard deviation of `brightness`; None likewise.
+    waveform_delay_std_ns : ndarray of float, shape (band,), or None
+        Standard deviation of the place of each waveform in time; None likewise.
     emission : Emission or None
         Measured spectra of the LEDs; None where those of the instrument apply.
     provenance : dict
@@ -88,6 +97,9 @@ class Calibration:
     flat_field: NDArray[np.float64]
     dead: NDArray[np.bool_]
     hot: NDArray[np.bool_]
+    flat_field_std: NDArray[np.float64] | None = None
+    brightness_std: NDArray[np.float64] | None = None
+    waveform_delay_std_ns: NDArray[np.float64] | None = None
     emission: Emission | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
 
@@ -223,6 +235,9 @@ def _to_stored(calibration: Calibration) -> StoredCalibration:
     arrays: dict[str, NDArray[Any]] = {
         name: getattr(calibration, name) for name in PIXEL_PLANES + BAND_VECTORS
     }
+    for name in NOISE_PLANES + NOISE_VECTORS:
+        if getattr(calibration, name) is not None:
+            arrays[name] = getattr(calibration, name)
     arrays["reference"] = calibration.reference
     arrays["bin_edges_ns"] = calibration.bins.edges_ns
     arrays["bin_codes"] = calibration.bins.codes.astype(np.int64)
@@ -270,6 +285,9 @@ def _from_stored(stored: StoredCalibration) -> Calibration:
         **dict.fromkeys(BAND_VECTORS, (len(instrument.bands),)),
         **dict.fromkeys(PIXEL_PLANES, (rows, cols)),
     }
+    noise = dict.fromkeys(NOISE_PLANES, (rows, cols))
+    noise |= dict.fromkeys(NOISE_VECTORS, (len(instrument.bands),))
+    expected |= {name: shape for name, shape in noise.items() if name in arrays}
     values = {name: arrays[name] for name in expected}
     for name, shape in expected.items():
         if values[name].shape != shape:

@@ -101,6 +101,8 @@ def refined_delays(
     templates: Templates,
     instrument: Instrument,
     bins: TimeBins,
+    *,
+    noise: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Estimate each pixel's delay by maximum likelihood, then shrink the estimates to reduce noise.
 
@@ -120,6 +122,8 @@ def refined_delays(
         Instrument that made the counts.
     bins : TimeBins
         Bins of the counts.
+    noise : ndarray of float, shape (row, col)
+        Variance of the counts, corrected for lost photons, over that of Poisson counts.
 
     Returns
     -------
@@ -145,7 +149,7 @@ def refined_delays(
     )
     delays, variance = np.zeros_like(delay_ns), np.ones_like(delay_ns)
     delays[usable] = delay_ns[usable] + found.delay_ns
-    variance[usable] = found.delay_std_ns**2
+    variance[usable] = found.delay_std_ns**2 * noise[usable]
     best, left = shrink_to_line_means(delays, variance, usable)
     best -= np.median(best[usable])
     return np.where(usable, best, 0.0), np.sqrt(np.where(usable, left, 0.0))

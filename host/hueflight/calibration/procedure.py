@@ -13,6 +13,7 @@ from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead, find_hot_in_dark
 from hueflight.calibration.delays import align, refined_delays
 from hueflight.calibration.empirical_bayes import shrink_to_line_means
+from hueflight.calibration.noise import correction_noise, waveform_noise
 from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
 from hueflight.calibration.waveform_estimation import (
     TrainModel,
@@ -150,7 +151,10 @@ def calibrate(
     windows = find_windows(pooled, instrument, bins, distance=distance)
     arrived = _arrived(light, exposures, instrument)
     circular = bins.period_ns is not None
-    gain, flat_field = _gains(arrived, windows, delay, usable, exposures, known, circular=circular)
+    shape_noise, total_noise = correction_noise(photons, exposures, instrument)
+    gain, flat_field, flat_field_std = _gains(
+        arrived, windows, delay, usable, exposures, known, total_noise, circular=circular
+    )
     arrived = smooth_undersampled(arrived, instrument, bins)
     captures = None
     if bands is not None:
@@ -167,12 +171,25 @@ def calibrate(
         return templates_from_train(arrived, delay_ns, usable, windows, model, instrument, bins)
 
     delay_ns, delay_std_ns = refined_delays(
-        arrived, delay_ns, usable, waveforms(delay_ns), instrument, bins
+        arrived, delay_ns, usable, waveforms(delay_ns), instrument, bins, noise=shape_noise
     )
     templates = waveforms(delay_ns)
-    brightness = brightness_of(arrived, delay_ns, usable, templates, bins)
+    brightness, background = brightness_of(arrived, delay_ns, usable, templates, bins)
+    pixels = np.count_nonzero(usable)
+    waveform_std_ns, brightness_std = waveform_noise(
+        brightness * pixels,
+        np.full(known.size, background * pixels),
+        templates,
+        bins,
+        together=True,
+    )
+    brightness_std *= np.sqrt(total_noise[usable].mean()) / pixels
+    waveform_std_ns *= np.sqrt(shape_noise[usable].mean())
+    if captures is not None:
+        waveform_std_ns = _noise_of_captures(captures, delay_ns, usable, templates, bins)
     if exposures is not None:
         brightness = brightness / exposures[usable].mean()
+        brightness_std = brightness_std / exposures[usable].mean()
     return Calibration(
         instrument=instrument,
         distance=float(distance),
@@ -188,6 +205,9 @@ def calibrate(
         flat_field=flat_field,
         dead=dead,
         hot=hot,
+        flat_field_std=flat_field_std,
+        brightness_std=brightness_std / known,
+        waveform_delay_std_ns=waveform_std_ns,
         emission=emission,
         provenance={
             "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -285,6 +305,23 @@ def _band_captures(bands: ArrayLike, instrument: Instrument, bins: TimeBins) -> 
     return lights
 
 
+def _noise_of_captures(
+    captures: NDArray[np.float32],
+    delay_ns: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    templates: Templates,
+    bins: TimeBins,
+) -> NDArray[np.float64]:
+    """Standard deviation (band,) of the place of waveforms from captures of one LED at a time."""
+    photons, background = np.empty((2, len(captures)))
+    for band, light in enumerate(captures):
+        alone = Templates(templates.coefficients[[band]], templates.circle_ns)
+        found, background[band] = brightness_of(light, delay_ns, usable, alone, bins)
+        photons[band] = found[0]
+    pixels = np.count_nonzero(usable)
+    return waveform_noise(photons * pixels, background * pixels, templates, bins, together=False)[0]
+
+
 def _hot_in_dark(dark: ArrayLike, instrument: Instrument, bins: TimeBins) -> NDArray[np.bool_]:
     counts = check_histogram(dark, instrument, name="dark")
     frames = frames_per_pixel(counts, instrument, None)
@@ -317,10 +354,11 @@ def _gains(
     usable: NDArray[np.bool_],
     frames: NDArray[np.float64] | None,
     reflectance: NDArray[np.float64],
+    noise: NDArray[np.float64],
     *,
     circular: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """α per band (eq. 3) and the flat field (row, col), mean 1 over usable pixels.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """α per band (eq. 3), the flat field (row, col), mean 1 over usable pixels, and its deviation.
 
     α uses the mean over all pixels, the flat field the sum over all bands, freed from its noise:
     either is known far better than one pixel's photons in one band would tell.
@@ -341,12 +379,14 @@ def _gains(
             "Dim the LEDs or shorten the exposure"
         )
     relative = total / total[known].mean()
-    flat_field, _ = shrink_to_line_means(relative, relative**2 / np.maximum(photons, 1), known)
+    variance = relative**2 / np.maximum(photons, 1) * noise
+    flat_field, left = shrink_to_line_means(relative, variance, known)
     flat_field = np.where(known, flat_field, np.nan)
+    flat_field_std = np.where(known, np.sqrt(left), np.nan)
     mean = np.array([(band[known] / flat_field[known]).mean() for band in per_frame])
     if (mean <= 0).any():
         dark_bands = np.flatnonzero(mean <= 0).tolist()
         raise CalibrationError(
             f"the reference shows no light in band(s) {dark_bands}: check those LEDs"
         )
-    return reflectance / mean, flat_field
+    return reflectance / mean, flat_field, flat_field_std

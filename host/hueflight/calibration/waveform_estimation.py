@@ -278,26 +278,28 @@ def brightness_of(
     usable: NDArray[np.bool_],
     templates: Templates,
     bins: TimeBins,
-) -> NDArray[np.float64]:
-    """Fit the photons of each band in an average usable pixel, without the background.
+) -> tuple[NDArray[np.float64], float]:
+    """Fit the photons of each band in an average usable pixel, and those of the background.
 
     Parameters
     ----------
     light : ndarray of float, shape (row, col, bin)
-        Counts in time order, all LEDs on.
+        Counts in time order.
     delay_ns : ndarray of float, shape (row, col)
         Delay of each pixel, ns.
     usable : ndarray of bool, shape (row, col)
         Pixels to use.
     templates : Templates
-        Waveforms of all bands.
+        Waveforms of the bands whose LEDs were on.
     bins : TimeBins
         Bins of the counts.
 
     Returns
     -------
-    ndarray of float, shape (band,)
+    photons : ndarray of float, shape (band,)
         Photons per capture.
+    background : float
+        Photons of the background per capture.
     """
     pool = PooledCounts.of(light, delay_ns, usable, bins, knot_ns=templates.knot_ns)
     flat = bins.widths_ns / bins.span_ns
@@ -317,7 +319,7 @@ def brightness_of(
         solution, _ = nnls(model * weight[:, None], counts * weight)
         expected = model @ solution
         variance = np.maximum(expected, 1e-6 * expected.max())
-    return solution[:-1] / usable.sum()
+    return solution[:-1] / usable.sum(), float(solution[-1] / usable.sum())
 
 
 def _require_own_light(

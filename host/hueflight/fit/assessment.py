@@ -192,7 +192,7 @@ def _screen(pixels: _Pixels, contrasts: _Floats, ratios: _Floats) -> tuple[_Floa
     if freedom > 0:
         chi_square = pearson / freedom
         shape = freedom**2 / (2 * freedom + pixels.weight.sum(axis=-1))
-        score = np.maximum(score, _gamma_score(chi_square, shape))
+        score = np.maximum(score, gamma_score(chi_square, shape))
     if len(contrasts):
         across = v @ contrasts.T  # pixel, contrast
         pulls = u @ contrasts.T - across * (delay_u / delay_v)[:, None]
@@ -247,17 +247,30 @@ def _contrast_score(pulls: _Floats, products: _Floats, raw: _Floats) -> _Floats:
     first_v = np.where(usable, products[:, 0, 0], 1.0)
     first = np.where(usable, pulls[:, 0] ** 2 / first_v, 0.0)
     if pulls.shape[1] == 1:
-        return _gamma_score(first, np.float64(0.5))
+        return gamma_score(first, np.float64(0.5))
     share = products[:, 0, 1] / first_v
     rest = products[:, 1, 1] - share * products[:, 0, 1]
     distinct = usable & (rest > DISTINCT * raw[:, 1])
     second = (pulls[:, 1] - share * pulls[:, 0]) ** 2 / np.where(distinct, rest, 1.0)
-    both = _gamma_score((first + second) / 2, np.float64(1.0))
-    return np.where(distinct, both, _gamma_score(first, np.float64(0.5)))
+    both = gamma_score((first + second) / 2, np.float64(1.0))
+    return np.where(distinct, both, gamma_score(first, np.float64(0.5)))
 
 
-def _gamma_score(ratio: _Floats, shape: _Floats | np.float64) -> _Floats:
-    """Standard normal score of a gamma variate over its mean (Wilson and Hilferty, 1931)."""
+def gamma_score(ratio: _Floats, shape: _Floats | np.float64) -> _Floats:
+    """Standard normal score of a gamma variate over its mean (Wilson and Hilferty, 1931).
+
+    Parameters
+    ----------
+    ratio : ndarray
+        Variates over their mean.
+    shape : ndarray or float
+        Shape of the gamma distribution: half the degrees of freedom of χ².
+
+    Returns
+    -------
+    ndarray
+        Scores.
+    """
     return (np.cbrt(ratio) - (1 - 1 / (9 * shape))) * np.sqrt(9 * shape)
 
 
@@ -277,7 +290,7 @@ def _deviance_score(
     at = np.log(expected)
     average = (np.interp(at, logs, means) * left).sum(axis=-1) + 1e-30
     variance = (np.interp(at, logs, variances) * left).sum(axis=-1) + 1e-30
-    return _gamma_score(parts.sum(axis=-1) / average, average**2 / variance)
+    return gamma_score(parts.sum(axis=-1) / average, average**2 / variance)
 
 
 @cache

@@ -63,6 +63,29 @@ def lost_photons_factor(
     return factor
 
 
+def arrivals_per_exposure(
+    hits: NDArray[np.float64], frames: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the mean number of photons that reach a pixel in one exposure.
+
+    A pixel with a photon in every exposure is treated as if half an exposure had been empty.
+
+    Parameters
+    ----------
+    hits : ndarray of float
+        Exposures with a photon, any shape.
+    frames : ndarray of float
+        All exposures, same shape.
+
+    Returns
+    -------
+    ndarray of float
+        Photons per exposure in the shape of `hits`.
+    """
+    recorded = np.maximum(np.minimum(hits, frames - 0.5), 0)
+    return -np.log1p(-recorded / np.maximum(frames, 1e-300))
+
+
 def photons_per_period(
     hits: NDArray[np.float64], frames: NDArray[np.float64] | None, instrument: Instrument
 ) -> NDArray[np.float64] | None:
@@ -86,8 +109,56 @@ def photons_per_period(
     """
     if frames is None:
         return None
-    occupancy = np.minimum(hits, frames - 0.5) / frames
-    return -np.log1p(-np.maximum(occupancy, 0)) / periods_per_exposure(instrument)
+    return arrivals_per_exposure(hits, frames) / periods_per_exposure(instrument)
+
+
+def correction_weights(
+    light: NDArray[np.floating], per_period: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Compute the factor by which Coates's correction multiplies the counts of each bin.
+
+    Parameters
+    ----------
+    light : ndarray, shape (..., bin)
+        Counts in time order.
+    per_period : ndarray of float, shape (...)
+        Photons per period, as `photons_per_period` gives.
+
+    Returns
+    -------
+    ndarray of float, shape (..., bin)
+        Weights, with which the sum of each pixel stays the same. A count that is corrected by w has
+        w times the variance of a Poisson count of that size.
+    """
+    earlier = np.cumsum(light, axis=-1, dtype=np.float64)
+    total = np.maximum(earlier[..., -1:], 1e-300)
+    later = (earlier[..., -1:] - earlier + 0.5 * light) / total  # 1 − F
+    rate = np.asarray(per_period)[..., None]
+    weights = 1 / (np.exp(-rate) - later * np.expm1(-rate))
+    corrected = (light * weights).sum(axis=-1, keepdims=True)
+    return weights * total / np.maximum(corrected, 1e-300)
+
+
+def variance_factor(arrivals: NDArray[np.floating] | float) -> NDArray[np.float64]:
+    """Compute how much more counts scatter after the correction of lost photons.
+
+    The number of photons that arrived is estimated as −n ln(1 − hits/n). Its relative variance is
+    (sinh(r/2) / (r/2))² / hits, with r arrivals for each of the n exposures. The same factor holds
+    for the mean of counts that were divided by what was left of a period, with r arrivals in the
+    period.
+
+    Parameters
+    ----------
+    arrivals : ndarray of float
+        Photons that arrive per exposure, or per period.
+
+    Returns
+    -------
+    ndarray of float
+        Factors, 1 or more.
+    """
+    half = np.maximum(np.asarray(arrivals, np.float64) / 2, 1e-9)
+    return (np.sinh(half) / half) ** 2
 
 
 def coates_correction(
@@ -132,10 +203,4 @@ def _float_type(light: NDArray[np.generic]) -> np.dtype[np.floating]:
 def _corrected(
     light: NDArray[np.floating], per_period: NDArray[np.floating]
 ) -> NDArray[np.floating]:
-    earlier = np.cumsum(light, axis=-1, dtype=np.float64)
-    total = np.maximum(earlier[..., -1:], 1e-300)
-    later = (earlier[..., -1:] - earlier + 0.5 * light) / total  # 1 − F
-    rate = per_period[..., None]
-    corrected = light / (np.exp(-rate) - later * np.expm1(-rate))
-    corrected *= total / np.maximum(corrected.sum(axis=-1, keepdims=True), 1e-300)
-    return corrected.astype(_float_type(light))
+    return (light * correction_weights(light, per_period)).astype(_float_type(light))

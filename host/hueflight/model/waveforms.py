@@ -19,6 +19,11 @@ from hueflight.model.time_bins import TimeBins
 if TYPE_CHECKING:
     from scipy import sparse
 
+SMOOTHNESS = np.geomspace(1e-8, 1e4, 97)  #: weights of the roughness that are tried
+CAUTION = 0.1  #: of the weight that fits the counts best: the rest is bias without gain
+ROUNDS = 2  #: fits of a waveform, each with the variances of the one before
+LEAST_EXPECTED = 0.1  #: variance of a bin, at least, of the mean count
+
 
 @dataclass(frozen=True)
 class Templates:
@@ -280,24 +285,37 @@ def fit_waveform(
     share = counts.sum(axis=-1) - background.sum(axis=-1)
     share = np.maximum(share, 0) / max(share[share > 0].sum(), 1e-300)
     chosen = np.flatnonzero(support)
-    normal = np.zeros((chosen.size, chosen.size))
-    right = np.zeros(chosen.size)
-    signal = counts - background
-    for group in np.flatnonzero(share):
+    groups = np.flatnonzero(share)
+    matrices, seen = [], []
+    for group in groups:
         edges_ns = bins.edges_ns - offsets_ns[group]
         near = _near(edges_ns, support, circle_ns / knots)
         matrix = share[group] * design_matrix(edges_ns, knots, circle_ns, chosen=near)
-        matrix = matrix[:, chosen]
-        weight = 1 / np.maximum(_smoothed(counts[group]), 1.0)[near]
-        weighted = matrix.multiply(weight[:, None]).tocsr()
-        normal += (weighted.T @ matrix).toarray()
-        right += weighted.T @ signal[group][near]
-    # a small smoothness penalty: knots that no bin resolves must not oscillate
-    ridge = 1e-9 * np.trace(normal) / max(chosen.size, 1)
-    bend = np.diff(np.eye(chosen.size), n=2, axis=0) if chosen.size > 2 else np.eye(chosen.size)
-    solution = np.linalg.solve(normal + ridge * (bend.T @ bend) + 1e-12 * ridge, right)
+        matrices.append(matrix[:, chosen])
+        seen.append(near)
+    signal = counts - background
+    variances = [
+        np.maximum(_smoothed(counts[group]), 1.0)[near]
+        for group, near in zip(groups, seen, strict=True)
+    ]
+    solution = np.zeros(chosen.size)
+    for _ in range(ROUNDS):  # variances of the counts at first, then those of the fit
+        normal = np.zeros((chosen.size, chosen.size))
+        right = np.zeros(chosen.size)
+        parts = list(zip(groups, matrices, seen, variances, strict=True))
+        for group, matrix, near, variance in parts:
+            weighted = matrix.multiply(1 / variance[:, None]).tocsr()
+            normal += (weighted.T @ matrix).toarray()
+            right += weighted.T @ signal[group][near]
+        solution = np.maximum(_smooth_solution(normal, right), 0)
+        variances = [
+            np.maximum(
+                matrix @ solution + background[group][near], LEAST_EXPECTED * counts[group].mean()
+            )
+            for group, matrix, near, _ in parts
+        ]
     coefficients = np.zeros(knots)
-    coefficients[chosen] = np.maximum(solution, 0)
+    coefficients[chosen] = solution
     return coefficients
 
 
@@ -313,6 +331,35 @@ def _near(
 
     knot = np.floor(edges_ns / knot_ns).astype(np.intp)
     return np.flatnonzero(before(knot[1:] + 3) > before(knot[:-1] - 1))
+
+
+def _smooth_solution(
+    normal: NDArray[np.float64], right: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solution of the normal equations, as smooth as the noise of the counts asks for.
+
+    Second differences of the coefficients are taken as normal with a variance that the counts
+    themselves tell (restricted maximum likelihood; Wood, Generalized Additive Models, 2017, 6.2).
+    """
+    from scipy.linalg import eigh  # slow to import, and reading an instrument does not need it
+
+    size = right.size
+    if size < 4:
+        return np.linalg.solve(normal + 1e-12 * np.trace(normal) * np.eye(size), right)
+    bend = np.diff(np.eye(size), n=2, axis=0)
+    # knots that no bin resolves must not oscillate
+    firm = normal + 1e-9 * np.trace(normal) / size * (bend.T @ bend + 1e-3 * np.eye(size))
+    roughness, modes = eigh(bend.T @ bend, firm)
+    roughness = np.maximum(roughness, 0.0)
+    seen = modes.T @ right
+    bent = np.arange(size) >= 2  # straight lines are not rough
+    damping = np.outer(SMOOTHNESS / max(np.median(roughness), 1e-300), roughness[bent])
+    # without noise a mode has the variance 1 / damping, with it 1 more
+    spread = 1 + 1 / np.maximum(damping, 1e-300)
+    misfit = (np.log(spread) + seen[bent] ** 2 / spread).sum(axis=-1)
+    kept = np.ones(size)
+    kept[bent] = 1 / (1 + CAUTION * damping[np.argmin(misfit)])
+    return modes @ (kept * seen)
 
 
 def _smoothed(counts: NDArray[np.floating]) -> NDArray[np.float64]:

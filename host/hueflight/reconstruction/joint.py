@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.fit.assessment import MISFIT, p_value, wavelength_contrasts
+from hueflight.fit.assessment import LARGEST_LOSS, MISFIT, p_value, wavelength_contrasts
 from hueflight.fit.reference import Fit
+from hueflight.fit.smoothed_assessment import smoothed_misfit, smoothed_score
 from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import (
     ModelTables,
@@ -25,6 +26,14 @@ from hueflight.fit.tables import (
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.undersampling import smooth_undersampled
+from hueflight.reconstruction.deviations import (
+    add_pileup_noise,
+    brightness_variance,
+    common_misfit,
+    delay_variance,
+    is_piled_up,
+    total_variance,
+)
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions, Skips
@@ -216,13 +225,42 @@ def fit_chosen(
     switches = skips.of_fit(calibration)
     if tables.resolved:
         options = {"pixels": pixels, "per_period": rates, "threads": threads}
-        return fit_pixels(light, delays_ns, tables, switches, **options)
-    seen = smooth_undersampled(
-        coates_correction(light[pixels], rates), instrument, calibration.bins
+        found = fit_pixels(light, delays_ns, tables, switches, **options)
+    else:
+        seen = smooth_undersampled(
+            coates_correction(light[pixels], rates), instrument, calibration.bins
+        )
+        # smoothed counts do not scatter as Poisson counts
+        plain = replace(switches, assessment=False)
+        found = fit_pixels(seen, delays_ns, tables, plain, threads=threads)
+        if switches.assessment:
+            assess_smoothed(found, seen, delays_ns, tables)
+    if rates is not None and float(np.max(rates, initial=0.0)) > LARGEST_LOSS:
+        add_pileup_noise(found, light[pixels], delays_ns, rates, tables)
+    return found
+
+
+def assess_smoothed(
+    found: Fit, seen: NDArray[Any], delays_ns: NDArray[np.float64], tables: ModelTables
+) -> None:
+    """Test whether one surface explains counts that were smoothed; see `smoothed_misfit`.
+
+    Parameters
+    ----------
+    found : Fit
+        Fit, whose test results are filled in.
+    seen : ndarray, shape (pixel, bin)
+        Smoothed counts.
+    delays_ns : ndarray of float, shape (pixel,)
+        Delay that belongs to the pixel itself, ns.
+    tables : ModelTables
+        Tables of the fit.
+    """
+    misfit, freedom = smoothed_misfit(
+        seen, found.delay_ns + delays_ns, found.amplitudes, found.background, tables
     )
-    # smoothed counts do not scatter as Poisson counts
-    switches = replace(switches, assessment=False)
-    return fit_pixels(seen, delays_ns, tables, switches, threads=threads)
+    found.chi_square[:] = misfit
+    found.misfit[:] = smoothed_score(misfit, freedom, common_misfit(misfit))
 
 
 def in_metres(
@@ -291,9 +329,12 @@ def in_metres(
             filled[chosen] = values
         return np.moveaxis(filled, (0, 1), (-2, -1))
 
-    known_ns = calibration.pixel_delay_std_ns[chosen]
+    misfit = common_misfit(found.chi_square[~unknown])
+    variance_ns = delay_variance(
+        found, chosen, calibration, misfit=misfit, least=detection_threshold(search_ns)
+    )
     depth = calibration.distance + plane(found.delay_ns) * along_axis
-    depth_std = plane(np.hypot(found.delay_std_ns, known_ns)) * along_axis
+    depth_std = plane(np.sqrt(variance_ns)) * along_axis
     other = calibration.distance + plane(found.other_ns) * along_axis
 
     flags = {
@@ -305,13 +346,18 @@ def in_metres(
     }
     quality = _quality(calibration, chosen, flags)
     scale = calibration.photon_scale(photons, frames, pileup_correction=pileup_correction)
+    quality[usable & is_piled_up(photons, frames, calibration.instrument)] |= int(Quality.PILED_UP)
+    relative = brightness_variance(calibration)[chosen]
     if pileup_correction and frames is not None:
         quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
+        counted = (photons[chosen], frames[chosen], calibration.instrument)
+        relative += total_variance(*counted)[:, None]
     if range_correction:
         guess = calibration.distance + plane(found.delay_ns, told=False) * along_axis
         scale = scale * relative_range(guess, calibration) ** 2
     gain = scale[chosen][:, None] / calibration.brightness
-    reflectance, reflectance_std = plane(gain * found.amplitudes), plane(gain * found.amplitude_std)
+    deviation = np.sqrt(found.amplitude_std**2 * misfit + found.amplitudes**2 * relative)
+    reflectance, reflectance_std = plane(gain * found.amplitudes), plane(gain * deviation)
     if range_correction:
         reflectance_std = widened(reflectance_std, reflectance, depth, depth_std)
     return Estimates(

@@ -37,7 +37,8 @@ class Skips:
         0 for none.
     assessment : bool
         Test whether one surface explains the counts. Without it, an image has no `fit_chi_square`
-        and no `fit_p_value`, and no pixel is flagged as a misfit; all else stays the same.
+        and no `fit_p_value`, no pixel is flagged as a misfit, and deviations do not contain the
+        misfit that all pixels have in common; all else stays the same.
     switches : FitOptions
         Steps of the fit.
 

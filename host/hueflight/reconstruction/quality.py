@@ -34,6 +34,9 @@ class Quality(IntFlag):
         surfaces in the pixel, whose reported depth may lie between them.
     MIXED : int
         The depth lies between two surfaces beside the pixel; set by `flag_mixed`.
+    PILED_UP : int
+        So many exposures hold a photon that the correction of lost ones multiplies what is left:
+        fewer than 1 period in 20 is still open at its end, or 1 exposure in 100.
     """
 
     DEAD = 1
@@ -46,6 +49,7 @@ class Quality(IntFlag):
     OUT_OF_RANGE = 128
     MISFIT = 256
     MIXED = 512
+    PILED_UP = 4096
     STARVED = LOW_SIGNAL
 
 

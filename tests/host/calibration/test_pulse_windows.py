@@ -76,6 +76,7 @@ def test_latency_that_differs_from_the_instrument_file(small, draw):
     instrument = small()
     late = instrument.replace(timing=msgspec.structs.replace(instrument.timing, latency_ns=58.0))
     calibration = hf.calibrate(draw(late, photons=20_000), instrument, distance=0.5)
-    image = hf.reconstruct(draw(late, depth=0.9, photons=5000), calibration, method="paper")
+    counts = draw(late, depth=0.9, photons=5000)
+    image = hf.reconstruct(counts, calibration, method="paper", range_correction=False)
     assert float(image.depth.mean()) == pytest.approx(0.9, abs=0.02)
     assert image.reflectance.mean(("row", "col")).values == pytest.approx(0.25, rel=0.05)

@@ -18,6 +18,7 @@ COMMANDS = {
     "demo": "Redraw the published figures from a simulated instrument, as a page with pictures.",
     "export": "Write an image in a format that other tools open.",
     "info": "Show what a file is, what it holds and whether it is whole.",
+    "instrument": "Make the description of an instrument, compare it with a capture, or show it.",
     "reconstruct": "Reconstruct depth and reflectance in every band from one or many captures.",
     "recover": "Save what is left of a damaged or unfinished recording.",
     "serve": "Run the capture daemon: live page, HTTP interface and recordings.",

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from hueflight.cli.output import show
+from hueflight.cli.output import print_notice, show
 from hueflight.errors import ExportError
 from hueflight.export import FORMATS, write
 from hueflight.export.description import band_names
+from hueflight.files.image_schema import instrument_of
 from hueflight.importers import read_image
 
 if TYPE_CHECKING:
@@ -69,6 +70,13 @@ def export(
     if band is not None:
         options["band"] = _band_number(loaded, band)
     options = {name: value for name, value in options.items() if value is not None}
+    cloud = format in ("ply", "las") or out.suffix.lower() in (".ply", ".las")
+    described = "instrument_description" in loaded.attrs
+    if cloud and described and instrument_of(loaded).lens is None:
+        print_notice(
+            "the instrument has no lens, so that the points lie on a line along the optical axis: "
+            "state the lens and the pixel pitch in its description and calibrate again"
+        )
     written = write(loaded, out, format=format, overwrite=overwrite, **options)
     show(f"Export of {image}", {"files": [str(path) for path in written]}, json_wanted=json)
 

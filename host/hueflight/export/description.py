@@ -34,7 +34,8 @@ def describe(image: xr.Dataset, calibration: Calibration, /, **more: str) -> xr.
     -------
     xarray.Dataset
         A copy of the image. Its attributes hold the instrument and the origin of the calibration as
-        JSON, and the coordinate `emission_fwhm` holds the spectral widths of the bands in nm.
+        JSON, and the coordinate `emission_fwhm` holds the spectral widths of the bands in nm,
+        NaN where the instrument does not state them.
 
     Raises
     ------
@@ -52,7 +53,11 @@ def describe(image: xr.Dataset, calibration: Calibration, /, **more: str) -> xr.
             f"the calibration from {instrument.name!r} ({instrument.fingerprint()}): use the "
             "calibration that the image was made with"
         )
-    widths = [band.emission_fwhm_nm for band in instrument.bands]
+    # of a band whose width is not stated, none is invented
+    widths = [
+        np.nan if band.emission_fwhm_nm is None else band.emission_fwhm_nm
+        for band in instrument.bands
+    ]
     if "band_name" in image.coords:  # some of the bands may have been selected, in any order
         numbers = {band.name: number for number, band in enumerate(instrument.bands)}
         widths = [widths[numbers[str(name)]] for name in image["band_name"].values]
@@ -120,10 +125,14 @@ def band_names(image: xr.Dataset) -> list[str]:
 
 
 def band_widths_nm(image: xr.Dataset) -> NDArray[np.float64] | None:
-    """Return the spectral widths (band,) at half maximum in nm, if the image states them."""
+    """Return the spectral widths (band,) at half maximum in nm, NaN for a band without one.
+
+    None if the image states no width at all.
+    """
     if "emission_fwhm" not in image.coords:
         return None
-    return np.asarray(image["emission_fwhm"].values, dtype=np.float64)
+    widths = np.asarray(image["emission_fwhm"].values, dtype=np.float64)
+    return widths if np.isfinite(widths).any() else None
 
 
 def band_labels(image: xr.Dataset) -> list[str]:

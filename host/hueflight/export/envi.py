@@ -72,7 +72,7 @@ def write_envi(
         "wavelength": [f"{value:g}" for value in wavelengths],
         "bbl": [str(int(not flag)) for flag in bad],  # 1 is a good band
     }
-    if widths is not None:
+    if widths is not None and np.isfinite(widths).all():  # the format has no unknown entries
         spectral["fwhm"] = [f"{value:g}" for value in widths]
 
     cubes: dict[str, list[NDArray[Any]]] = {}

@@ -86,7 +86,7 @@ def _lines(image: xr.Dataset, spectra: xr.Dataset) -> list[list[str]]:
                 str(region),
                 name,
                 f"{wavelengths[band]:g}",
-                "" if widths is None else f"{widths[band]:g}",
+                "" if widths is None or np.isnan(widths[band]) else f"{widths[band]:g}",
                 *(_number(here[key]) for key in ("reflectance", "reflectance_std",
                                                  "reflectance_scatter")),
                 str(int(here["pixels"])),

@@ -92,7 +92,7 @@ def _pages(image: xr.Dataset) -> Iterator[tuple[NDArray[Any], str, dict[str, Any
             if band is not None:
                 title = f"{variable} {names[band]} {wavelengths[band]:g} nm"
                 about |= {"band": names[band], "wavelength_nm": float(wavelengths[band])}
-                if widths is not None:
+                if widths is not None and np.isfinite(widths[band]):
                     about["fwhm_nm"] = float(widths[band])
             yield storable(plane, variable), title, about
             first = {}

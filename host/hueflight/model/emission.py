@@ -53,7 +53,7 @@ class Emission:
         Parameters
         ----------
         instrument : Instrument
-            Instrument whose `Band.wavelength_nm` and `Band.emission_fwhm_nm` are used.
+            Instrument whose `Band.wavelength_nm` and `Band.spectral_fwhm_nm` are used.
 
         Returns
         -------

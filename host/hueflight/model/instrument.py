@@ -20,10 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.errors import InstrumentError, InstrumentNotFoundError
+from hueflight.model.instrument_text import facts_html, instrument_facts, instrument_toml
 from hueflight.model.pulses import Pulse, gaussian_sigma
 from hueflight.model.time_bins import TimeBins
 
 SPEED_OF_LIGHT_M_PER_NS = 0.299792458  #: exact, SI
+USUAL_FWHM_NM = 20.0  #: of an LED whose emission spectrum is not stated
 
 
 class _Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -202,8 +204,9 @@ class Band(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
         Full width at half maximum of the optical pulse, tail included, ns.
     pulse_tail_ns : float
         Decay constant of the trailing edge, ns; 0 for a Gaussian pulse.
-    emission_fwhm_nm : float
-        Full width at half maximum of the emission spectrum, nm.
+    emission_fwhm_nm : float or None
+        Full width at half maximum of the emission spectrum, nm. Without it, colors are computed
+        with 20 nm, that of a usual LED, and exported files state no width.
     power_mw : float
         Average optical power while the train runs, mW.
     """
@@ -213,18 +216,24 @@ class Band(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     delay_ns: float | tuple[float, ...] = 0.0
     pulse_fwhm_ns: float = 10.0
     pulse_tail_ns: float = 0.0
-    emission_fwhm_nm: float = 20.0
+    emission_fwhm_nm: float | None = None
     power_mw: float = 1.0
 
     def __post_init__(self) -> None:
         _normalize_numbers(self)
         for name in ("wavelength_nm", "pulse_fwhm_ns", "emission_fwhm_nm", "power_mw"):
-            _positive(f"band {self.name!r}: {name}", getattr(self, name))
+            if (value := getattr(self, name)) is not None:
+                _positive(f"band {self.name!r}: {name}", value)
         _not_negative(f"band {self.name!r}: pulse_tail_ns", self.pulse_tail_ns)
         if not self.delays_ns:
             raise InstrumentError(f"band {self.name!r}: delay_ns is empty: give at least one delay")
         for delay in self.delays_ns:
             _not_negative(f"band {self.name!r}: delay_ns", delay)
+
+    @property
+    def spectral_fwhm_nm(self) -> float:
+        """Width of the emission that colors are computed with, nm: the stated one, or 20."""
+        return USUAL_FWHM_NM if self.emission_fwhm_nm is None else self.emission_fwhm_nm
 
     @property
     def delays_ns(self) -> tuple[float, ...]:
@@ -457,6 +466,34 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         """
         return msgspec.json.encode(self, order="sorted").decode()
 
+    def to_toml(self) -> str:
+        """Write the description as TOML, as a file for `load`.
+
+        Returns
+        -------
+        str
+            The text, without the entries that have their default; `from_toml` reads it as an equal
+            instrument.
+        """
+        return instrument_toml(self)
+
+    def facts(self) -> dict[str, Any]:
+        """List what matters of the instrument, for a screen.
+
+        Returns
+        -------
+        dict
+            Names, sizes, times, lens and bands, as plain values.
+        """
+        return instrument_facts(self)
+
+    def __repr__(self) -> str:
+        lines = [f"  {key}: {value}" for key, value in self.facts().items() if value is not None]
+        return "\n".join([f"<Instrument {self.name!r}>", *lines])
+
+    def _repr_html_(self) -> str:
+        return facts_html(f"Instrument {self.name}", self.facts())
+
     def fingerprint(self) -> str:
         """Compute a short digest of everything that counts depend on.
 
@@ -466,7 +503,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
             16 hexadecimal digits of the SHA-256 digest of the description, without `name` and
             `description`.
         """
-        physical = msgspec.structs.replace(self, name="", description="")
+        physical = msgspec.structs.replace(_as_computed(self), name="", description="")
         return hashlib.sha256(physical.to_json().encode()).hexdigest()[:16]
 
     def differences(self, other: Instrument) -> list[str]:
@@ -482,7 +519,9 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         list of str
             One line ``key: value here != value there`` for each difference.
         """
-        mine, theirs = _flatten(msgspec.to_builtins(self)), _flatten(msgspec.to_builtins(other))
+        mine, theirs = (
+            _flatten(msgspec.to_builtins(_as_computed(instrument))) for instrument in (self, other)
+        )
         keys = [k for k in {**mine, **theirs} if k not in ("name", "description")]
         return [
             f"{key}: {mine.get(key)!r} != {theirs.get(key)!r}"
@@ -654,6 +693,15 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         right = (np.arange(cols) - (cols - 1) / 2) * width_um * to_slope
         down = (np.arange(rows) - (rows - 1) / 2) * height_um * to_slope
         return np.broadcast_to(right, (rows, cols)), np.broadcast_to(down[:, None], (rows, cols))
+
+
+def _as_computed(instrument: Instrument) -> Instrument:
+    """The instrument with the numbers that stand for what it does not state."""
+    bands = tuple(
+        msgspec.structs.replace(band, emission_fwhm_nm=band.spectral_fwhm_nm)
+        for band in instrument.bands
+    )
+    return msgspec.structs.replace(instrument, bands=bands)
 
 
 def _flatten(tree: Any, path: str = "") -> dict[str, Any]:

@@ -44,7 +44,7 @@ def emission(band: Band, wavelength_nm: ArrayLike = WAVELENGTH_NM) -> NDArray[np
     """
     short_wave_share = 0.58 if band.wavelength_nm > 570 else 0.48
     offset = np.asarray(wavelength_nm, dtype=np.float64) - band.wavelength_nm
-    fwhm = max(band.emission_fwhm_nm, _NARROWEST_LINE_NM)
+    fwhm = max(band.spectral_fwhm_nm, _NARROWEST_LINE_NM)
     half_width = fwhm * np.where(offset < 0, short_wave_share, 1 - short_wave_share)
     return 1 / np.cosh(np.clip(offset * acosh(2) / half_width, -700, 700))
 

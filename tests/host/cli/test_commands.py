@@ -6,10 +6,12 @@ import json
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from cyclopts import App
 
 from hueflight.batch import job
 from hueflight.calibration import Calibration
@@ -192,25 +194,39 @@ def test_help_names_every_command_and_the_exit_codes(run) -> None:
         assert code in shown.out
 
 
+def _functions() -> dict[str, Any]:
+    """Function of each command by the words that call it; a group has several."""
+    found: dict[str, Any] = {}
+    for command in COMMANDS:
+        made = getattr(import_module(f"hueflight.cli.{command}"), command)
+        if isinstance(made, App):
+            names = [name for name in made if not name.startswith("-")]
+            found |= {f"{command} {name}": made[name].default_command for name in names}
+        else:
+            found[command] = made
+    return found
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_summary_is_the_first_line_of_the_commands_docstring(command: str) -> None:
     function = getattr(import_module(f"hueflight.cli.{command}"), command)
-    assert (inspect.getdoc(function) or "").splitlines()[0] == COMMANDS[command]
+    documented = function.help if isinstance(function, App) else inspect.getdoc(function)
+    assert documented.splitlines()[0] == COMMANDS[command]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", _functions())
 def test_help_of_every_option_is_a_sentence_of_its_own(command: str, run) -> None:
-    module = import_module(f"hueflight.cli.{command}")
-    documented = inspect.getdoc(getattr(module, command)) or ""
+    function = _functions()[command]
+    documented = inspect.getdoc(function) or ""
     parameters = documented.partition("Parameters\n---")[2].partition("\nReturns\n")[0]
     texts = ["".join(f" {line.strip()}" for line in block) for block in _descriptions(parameters)]
-    assert len(texts) == len(inspect.signature(getattr(module, command)).parameters)
+    assert len(texts) == len(inspect.signature(function).parameters)
     for text in texts:
         assert text[1].isupper(), text
         assert text.endswith("."), text
         # a whole sentence names what it is about: it can't begin with what stands before it
         assert not text.startswith((" Of ", " That ", " Its ", " The same", " Likewise")), text
-    shown = run(command, "--help")
+    shown = run(*command.split(), "--help")
     assert shown.code == 0
     assert "--help" not in shown.err
 

@@ -12,6 +12,8 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.analysis import compare
     from hueflight.batch import reconstruct_file, reconstruct_many
     from hueflight.calibration import Calibration, calibrate
+    from hueflight.client.async_client import connect_async
+    from hueflight.client.sync_client import connect
     from hueflight.color import color_picture
     from hueflight.errors import HueflightError
     from hueflight.export import write as write_image
@@ -43,6 +45,8 @@ _HOME = {
     "calibrate": "hueflight.calibration",
     "color_picture": "hueflight.color",
     "compare": "hueflight.analysis",
+    "connect": "hueflight.client.sync_client",
+    "connect_async": "hueflight.client.async_client",
     "depth_bound": "hueflight.reconstruction.bounds",
     "flag_mixed": "hueflight.reconstruction.mixed_pixels",
     "open_recording": "hueflight.recording",
@@ -66,6 +70,7 @@ _PACKAGES = (
     "analysis",
     "batch",
     "calibration",
+    "client",
     "color",
     "export",
     "importers",
@@ -87,6 +92,8 @@ __all__ = [
     "calibrate",
     "color_picture",
     "compare",
+    "connect",
+    "connect_async",
     "depth_bound",
     "flag_mixed",
     "open_recording",

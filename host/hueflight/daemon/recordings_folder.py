@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hueflight.errors import HueflightError
-from hueflight.recording.layout import SUFFIX, segment_files
+from hueflight.recording.layout import SUFFIX, segment_files, segment_path
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -19,6 +19,10 @@ class RecordingNameError(HueflightError):
 def timestamp_name() -> str:
     """Return a name for the present moment in UTC, such as 20240131T235959123Z."""
     return datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")[:-4] + "Z"
+
+
+class RecordingMissingError(RecordingNameError):
+    """A recording that is not there, or that has no such segment."""
 
 
 class RecordingsFolder:
@@ -85,6 +89,37 @@ class RecordingsFolder:
         if any(segment_files(path)):
             raise RecordingNameError(
                 f"a recording called {name!r} exists already: choose another name"
+            )
+        return path
+
+    def segment(self, name: str, number: int, /) -> Path:
+        """Return the path of a finished segment of a recording.
+
+        Parameters
+        ----------
+        name : str
+            Name of the recording.
+        number : int
+            Number of the segment, from 0.
+
+        Returns
+        -------
+        Path
+            Path of a file in this folder.
+
+        Raises
+        ------
+        RecordingNameError
+            If the name is not allowed.
+        RecordingMissingError
+            If there is no such recording, or it has no finished segment of that number.
+        """
+        first = self.path(name)
+        path = segment_path(first, number)
+        if path not in segment_files(first)[0] or path.is_symlink():
+            raise RecordingMissingError(
+                f"there is no finished segment {number} of a recording called {name!r}: "
+                "GET /api/recordings lists what there is"
             )
         return path
 

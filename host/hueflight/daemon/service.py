@@ -30,6 +30,7 @@ from hueflight.daemon.status import (
     run_status,
 )
 from hueflight.devices.rig import Connect
+from hueflight.live.protocol import PROTOCOL
 from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
@@ -178,7 +179,10 @@ class Service:
 
     def describe(self) -> dict[str, Any]:
         """Return the facts about the instrument, which do not change while the daemon runs."""
-        return describe_instrument(self.instrument)
+        return describe_instrument(self.instrument) | {
+            "protocol": PROTOCOL,
+            "definition": self.instrument.to_json(),
+        }
 
     def close(self) -> None:
         """End everything in order, so that recordings are finished."""

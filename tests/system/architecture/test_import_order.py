@@ -34,6 +34,8 @@ ORDER = (
     "simulator",
     "report",
     "batch",
+    "live",
+    "client",
     "devices",
     "emulation",
     "acquisition",

@@ -18,11 +18,8 @@ from urllib.parse import urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hueflight.daemon.config import LOOPBACK, ServerConfig
+from hueflight.live.protocol import TOKEN_PROTOCOL
 
-PROTOCOL = "hueflight.v1"  #: subprotocol of the web socket
-TOKEN_PROTOCOL = (
-    "hueflight.token."  #: prefix of a token: browsers can't set headers of a web socket
-)
 #: paths that need the token; the page, which holds no secret, and /health need none
 GUARDED = ("/api/", "/metrics", "/openapi.json")
 _CLIENTS_KEPT = 1024

@@ -13,7 +13,7 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import Response
+from starlette.responses import FileResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp
 
@@ -28,13 +28,15 @@ from hueflight.daemon.http.page_files import page_routes
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.pixel import PixelError
-from hueflight.daemon.recordings_folder import RecordingNameError
+from hueflight.daemon.recordings_folder import RecordingMissingError, RecordingNameError
 from hueflight.daemon.service import Service
 from hueflight.devices.rig import Connect
 from hueflight.errors import HueflightError
+from hueflight.live.protocol import Coding
 from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
+DOWNLOAD_PATH = "/api/recordings/{name}/segments/{segment:int}"
 
 
 def make_app(
@@ -76,8 +78,11 @@ def make_app(
             hub: Hub | None = state.get("hub")
             if hub is None or not service.viewers:
                 return  # nobody is watching: spare the work
-            message = encode_picture(picture, service.live_color)
-            loop.call_soon_threadsafe(hub.publish, picture, message)
+            messages: dict[Coding, bytes] = {
+                coding: encode_picture(picture, service.live_color, coding=coding)
+                for coding in hub.codings
+            }
+            loop.call_soon_threadsafe(hub.publish, picture, messages)
 
         service = await run_in_threadpool(
             lambda: Service(config, connect, instrument, on_picture=on_picture)
@@ -111,6 +116,14 @@ def make_app(
             {"healthy": not bad, "state": status["state"], "problems": bad}, 503 if bad else 200
         )
 
+    async def download(request: Request) -> Response:
+        name, number = request.path_params["name"], request.path_params["segment"]
+        try:
+            path = await run_in_threadpool(state["service"].folder.segment, name, number)
+        except HueflightError as error:
+            return _json({"error": str(error)}, _status_of(error))
+        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
     description = describe(name=config.name, token=token is not None)
 
     async def openapi(_: Request) -> Response:
@@ -118,6 +131,7 @@ def make_app(
 
     routes: list[BaseRoute] = [
         *(_route(operation, state) for operation in OPERATIONS),
+        Route(DOWNLOAD_PATH, download, methods=["GET"]),
         Route("/openapi.json", openapi, methods=["GET"]),
         Route("/metrics", metrics, methods=["GET"]),
         Route("/health", health, methods=["GET"]),
@@ -174,7 +188,7 @@ def _read_query(request: Request, kind: type[Any]) -> Any:
 
 
 def _status_of(error: HueflightError) -> int:
-    if isinstance(error, PixelError):
+    if isinstance(error, PixelError | RecordingMissingError):
         return 404
     if isinstance(error, RecordingNameError | CaptureError):
         return 409

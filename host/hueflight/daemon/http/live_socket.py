@@ -1,7 +1,9 @@
-"""The web socket of the live page: each viewer gets the newest picture, never a queue of old ones.
+"""The web socket of live pictures: a viewer is sent as many as it takes, and delays nobody.
 
-A viewer is sent the next picture when it has answered that the last one is shown. A slow viewer
-sees fewer pictures; it can delay neither other viewers nor acquisition.
+The live page is sent the newest picture when it has answered that the last one is shown, and the
+status. Other clients say in the address how they want pictures (`StreamQuery`) and then ask for
+them; they are sent nothing else. A slow viewer gets fewer pictures; it can delay neither other
+viewers nor acquisition.
 """
 
 from __future__ import annotations
@@ -9,22 +11,26 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Annotated
 
 import msgspec
 import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from hueflight.daemon.http.access import PROTOCOL
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.service import Service
+from hueflight.live.protocol import PROTOCOL, Coding, Delivery
 
 STATUS_S = 0.5
 SEND_TIMEOUT_S = 15.0  #: a viewer that receives nothing for so long is disconnected
 SHOWN_TIMEOUT_S = 5.0  #: a viewer that never says "shown" gets a picture this often
 MESSAGES_PER_S = 200  #: from a viewer; one that sends more is disconnected
+QUEUED_PICTURES = 32  #: for a viewer that wants all; older ones are dropped
+ASKED_AT_MOST = 1000  #: pictures that a viewer may have asked for and not received
 _REMEMBERED = 64
 _NOTHING = np.empty(0, np.uint16)
 
@@ -33,6 +39,49 @@ class Shown(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Message of a viewer: the number of the picture that is on its screen."""
 
     shown: int
+
+
+class Next(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Message of a viewer that asks for pictures: how many more may be sent."""
+
+    next: Annotated[int, msgspec.Meta(ge=1, le=ASKED_AT_MOST)]
+
+
+class StreamQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How a viewer wants pictures, in the query of the web socket's address.
+
+    Attributes
+    ----------
+    coding : str
+        Coding of the values.
+    pictures : str or None
+        Which pictures are sent when the viewer asks for them; None for a viewer that does not ask,
+        such as the live page.
+    """
+
+    coding: Coding = "display"
+    pictures: Delivery | None = None
+
+
+def read_query(pairs: Mapping[str, str], /) -> StreamQuery:
+    """Return how a viewer wants pictures.
+
+    Parameters
+    ----------
+    pairs : mapping of str to str
+        Query of the address.
+
+    Returns
+    -------
+    StreamQuery
+        The settings.
+
+    Raises
+    ------
+    msgspec.ValidationError
+        If a name or value is unknown.
+    """
+    return msgspec.convert(dict(pairs), StreamQuery)
 
 
 class Hub:
@@ -50,13 +99,19 @@ class Hub:
         self._service = service
         self._max_viewers = max_viewers
         self._viewers: set[Viewer] = set()
-        self._message = b""
-        self._number = 0
+        self._messages: dict[Coding, tuple[int, bytes]] = {}
         self._sent: OrderedDict[int, Picture] = OrderedDict()
 
-    def publish(self, picture: Picture, message: bytes) -> None:
-        """Offer a picture to all viewers."""
-        self._message, self._number = message, picture.number
+    @property
+    def codings(self) -> tuple[Coding, ...]:
+        """Codings that the present viewers want."""
+        # called in the thread that makes pictures, while viewers come and go: a copy is made first
+        return tuple({viewer.query.coding for viewer in tuple(self._viewers)})
+
+    def publish(self, picture: Picture, messages: Mapping[Coding, bytes]) -> None:
+        """Offer a picture to all viewers whose coding is among the messages."""
+        for coding, message in messages.items():
+            self._messages[coding] = (picture.number, message)
         # only the times of sent pictures are needed; their arrays would occupy much memory
         self._sent[picture.number] = replace(
             picture, histogram=_NOTHING, photons=_NOTHING, image=None
@@ -64,7 +119,8 @@ class Hub:
         while len(self._sent) > _REMEMBERED:
             self._sent.popitem(last=False)
         for viewer in self._viewers:
-            viewer.offer(picture.number, message)
+            if viewer.query.coding in messages:
+                viewer.offer(picture.number, messages[viewer.query.coding])
 
     def shown(self, number: int) -> None:
         """Note that a viewer has a picture on its screen."""
@@ -77,22 +133,34 @@ class Hub:
         if len(self._viewers) >= self._max_viewers:
             await socket.close(1013, f"{self._max_viewers} viewers are connected already")
             return
+        try:
+            query = read_query(socket.query_params)
+        except msgspec.ValidationError as error:
+            await socket.close(1008, str(error)[:120])
+            return
         offered = socket.scope.get("subprotocols", [])
         await socket.accept(subprotocol=PROTOCOL if PROTOCOL in offered else None)
-        viewer = Viewer(socket)
+        viewer = Viewer(socket, query)
         self._viewers.add(viewer)
         self._service.viewers = len(self._viewers)
         try:
-            latest = self._service.pictures.latest
-            if latest is not None and latest.number != self._number:
-                message = await asyncio.to_thread(encode_picture, latest, self._service.live_color)
-                self.publish(latest, message)
-            elif self._message:
-                viewer.offer(self._number, self._message)
+            await self._offer_latest(viewer)
             await viewer.run(self)
         finally:
             self._viewers.discard(viewer)
             self._service.viewers = len(self._viewers)
+
+    async def _offer_latest(self, viewer: Viewer) -> None:
+        """Offer the latest picture, which may be older than the viewer."""
+        latest, coding = self._service.pictures.latest, viewer.query.coding
+        number, message = self._messages.get(coding, (0, b""))
+        if latest is not None and latest.number != number:
+            message = await asyncio.to_thread(
+                encode_picture, latest, self._service.live_color, coding=coding
+            )
+            self.publish(latest, {coding: message})
+        elif message:
+            viewer.offer(number, message)
 
     def status(self) -> str:
         """Return the status as JSON text."""
@@ -106,27 +174,36 @@ class Viewer:
     ----------
     socket : WebSocket
         Its accepted web socket.
+    query : StreamQuery
+        How it wants pictures.
     """
 
-    def __init__(self, socket: WebSocket) -> None:
+    def __init__(self, socket: WebSocket, query: StreamQuery) -> None:
         self._socket = socket
-        self._offered: tuple[int, bytes] | None = None
+        self.query = query
+        self._offered: deque[bytes] = deque(
+            maxlen=QUEUED_PICTURES if query.pictures == "all" else 1
+        )
         self._offered_event = asyncio.Event()
+        self._newest = 0
+        self._may_send = 0 if query.pictures else 1
         self._ready = asyncio.Event()
-        self._ready.set()
         self._sending = asyncio.Lock()
 
     def offer(self, number: int, message: bytes) -> None:
-        """Send this message next, in place of any that is not sent yet."""
-        self._offered = (number, message)
+        """Send this message when the viewer is ready; the oldest one waiting may be dropped."""
+        if number <= self._newest:  # it was made for a viewer that came meanwhile
+            return
+        self._newest = number
+        self._offered.append(message)
         self._offered_event.set()
 
     async def run(self, hub: Hub) -> None:
         """Serve the viewer until it leaves or is disconnected."""
-        tasks = [
-            asyncio.create_task(work)
-            for work in (self._send_pictures(), self._send_status(hub), self._listen(hub))
-        ]
+        works = [self._send_pictures(), self._listen(hub)]
+        if self.query.pictures is None:
+            works.append(self._send_status(hub))
+        tasks = [asyncio.create_task(work) for work in works]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -141,14 +218,24 @@ class Viewer:
 
     async def _send_pictures(self) -> None:
         while True:
-            await self._offered_event.wait()
-            with contextlib.suppress(TimeoutError):  # a hidden tab gets a picture now and then
-                await asyncio.wait_for(self._ready.wait(), SHOWN_TIMEOUT_S)
-            self._offered_event.clear()
-            self._ready.clear()
-            assert self._offered is not None
+            await self._wait_until_ready()
+            while not self._offered:
+                self._offered_event.clear()
+                await self._offered_event.wait()
+            self._may_send = max(self._may_send - 1, 0)
             async with self._sending, asyncio.timeout(SEND_TIMEOUT_S):
-                await self._socket.send_bytes(self._offered[1])
+                await self._socket.send_bytes(self._offered.popleft())
+
+    async def _wait_until_ready(self) -> None:
+        """Wait until the viewer may be sent a picture."""
+        if self._may_send:
+            return
+        self._ready.clear()
+        if self.query.pictures:
+            await self._ready.wait()
+            return
+        with contextlib.suppress(TimeoutError):  # a hidden tab gets a picture now and then
+            await asyncio.wait_for(self._ready.wait(), SHOWN_TIMEOUT_S)
 
     async def _send_status(self, hub: Hub) -> None:
         while True:
@@ -167,9 +254,18 @@ class Viewer:
             count += 1
             if count > MESSAGES_PER_S:
                 return
-            try:
-                shown = msgspec.json.decode(message.get("text") or b"", type=Shown)
-            except (msgspec.DecodeError, UnicodeError):
-                return  # this is not the live page
-            self._ready.set()
-            hub.shown(shown.shown)
+            if not self._take(message.get("text") or "", hub):
+                return
+
+    def _take(self, text: str, hub: Hub) -> bool:
+        """Take a message of the viewer; False if it is none that a viewer may send."""
+        try:
+            if self.query.pictures:
+                self._may_send += msgspec.json.decode(text, type=Next).next
+            else:
+                hub.shown(msgspec.json.decode(text, type=Shown).shown)
+                self._may_send = 1
+        except (msgspec.DecodeError, UnicodeError):
+            return False
+        self._ready.set()
+        return self._may_send <= ASKED_AT_MOST

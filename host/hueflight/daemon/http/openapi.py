@@ -59,6 +59,7 @@ def describe(*, name: str, token: bool) -> dict[str, Any]:
             | _refusals(),
         }
     }
+    paths["/api/recordings/{name}/segments/{segment}"] = {"get": _download()}
     described: dict[str, Any] = {
         "openapi": "3.1.0",
         "info": {
@@ -113,6 +114,33 @@ def _operation(operation: Operation) -> dict[str, Any]:
     if operation.missing:
         described["responses"]["404"] = _error("There is no such pixel, or no picture yet.")
     return described
+
+
+def _download() -> dict[str, Any]:
+    """Description of the download, the only answer that is no JSON."""
+    name = {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"}
+    number = {"type": "integer", "minimum": 0, "maximum": 999_999}
+    content = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    return {
+        "operationId": "download",
+        "summary": "Download a segment of a finished recording",
+        "parameters": [
+            _path_parameter("name", "Name of the recording.", name),
+            _path_parameter("segment", "Number of the segment, from 0.", number),
+        ],
+        "responses": {
+            "200": {"description": "The file, an MCAP of its own.", "content": content},
+            "206": {"description": "The range of it that was asked for.", "content": content},
+            "404": _error("There is no such recording or segment."),
+            "409": _error("The name is not one of a recording."),
+            "416": {"description": "The range that was asked for lies outside of the file."},
+        }
+        | _refusals(),
+    }
+
+
+def _path_parameter(name: str, text: str, schema: dict[str, Any]) -> dict[str, Any]:
+    return {"name": name, "in": "path", "required": True, "description": text, "schema": schema}
 
 
 def _refusals() -> dict[str, Any]:

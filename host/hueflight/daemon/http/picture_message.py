@@ -1,35 +1,36 @@
-"""A picture as one binary message: a JSON header, and planes that a browser uploads as they are.
-
-The message is, in this order: four bytes, little-endian, with the size of the header; the header,
-padded with spaces so that the planes begin on a multiple of 8 bytes; the planes, in the order and
-at the offsets that the header states. Values are quantised for display; exact numbers come from
-``/api/pixel``.
-"""
+"""A picture as one binary message; `hueflight.live.message` describes how messages are laid out."""
 
 from __future__ import annotations
 
-import struct
+import time
 from typing import Any
 
-import msgspec
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.daemon.live_color import LiveColor
 from hueflight.daemon.picture import Picture
+from hueflight.live.image import message_of_image
+from hueflight.live.message import Plane, encode_message
+from hueflight.live.protocol import Coding
 
 UNKNOWN = 65535  #: value of unknown pixels in 16-bit planes
 _TOP_PERCENT = 99.0  #: percentile of a band's reflectance at the top of its scale
+_PLANE = ("row", "col")
 
 
-def encode_picture(picture: Picture, live_color: LiveColor, /) -> bytes:
+def encode_picture(
+    picture: Picture, live_color: LiveColor, /, *, coding: Coding = "display"
+) -> bytes:
     """Return the message of a picture.
 
-    The planes are ``depth`` and ``depth_std`` (uint16, metres = value · scale), ``bands`` (uint8,
-    (band, row, col), reflectance = top[band] · (value/255)²), ``colours`` (uint8, (row, col, 3),
-    sRGB from all bands, if enough are visible), ``photons`` (uint16, clipped) and ``quality``
-    (uint8, bits of `hueflight.reconstruction.quality.Quality`). Without a calibration there are
-    only photons.
+    With the coding ``"exact"``, the planes are the variables of the image, and their values are
+    those of the reconstruction. With ``"display"``, they are ``depth`` and ``depth_std`` (uint16,
+    metres = value · scale), ``bands`` (uint8, (band, row, col), reflectance = top[band] ·
+    (value/255)²), ``colours`` (uint8, (row, col, 3), sRGB from all bands, if enough are visible),
+    ``photons`` (uint16, clipped) and ``quality`` (uint16, bits of
+    `hueflight.reconstruction.quality.Quality`). Without a calibration there are only photons.
 
     Parameters
     ----------
@@ -37,39 +38,52 @@ def encode_picture(picture: Picture, live_color: LiveColor, /) -> bytes:
         The picture.
     live_color : LiveColor
         Colours of the instrument's bands.
+    coding : str
+        ``"display"`` or ``"exact"``.
 
     Returns
     -------
     bytes
         The message.
     """
-    planes: list[tuple[str, NDArray[Any]]] = [
-        ("photons", np.minimum(picture.photons, UNKNOWN).astype("<u2"))
-    ]
     header: dict[str, Any] = {
         "number": picture.number,
         "kind": picture.kind,
         "frames": picture.frames,
         "device_s": picture.device_s,
+        "received_unix_s": time.time() - (time.monotonic() - picture.received_s),
         "made_ms": round(1e3 * (picture.ready_s - picture.received_s), 2),
         "rows": picture.photons.shape[0],
         "cols": picture.photons.shape[1],
     }
+    if coding == "exact":
+        image = picture.image
+        return message_of_image(_photons_alone(picture) if image is None else image, header)
+    return _for_display(picture, live_color, header)
+
+
+def _photons_alone(picture: Picture) -> xr.Dataset:
+    attributes = {"units": "count", "long_name": "photons in the pixel's histogram"}
+    return xr.Dataset({"photons": (_PLANE, picture.photons.astype(np.uint32), attributes)})
+
+
+def _for_display(picture: Picture, live_color: LiveColor, header: dict[str, Any]) -> bytes:
+    planes = [Plane("photons", np.minimum(picture.photons, UNKNOWN).astype("<u2"), _PLANE)]
     image = picture.image
     if image is not None:
         for name in ("depth", "depth_std"):
-            plane, scale = _quantised(image[name].values)
+            values, scale = _quantised(image[name].values)
             header[f"{name}_scale"] = scale
-            planes.append((name, plane))
+            planes.append(Plane(name, values, _PLANE))
         cube = np.moveaxis(image["reflectance"].values, -1, 0)
-        planes_8bit, tops = _square_root_coded(cube)
+        bands, tops = _square_root_coded(cube)
         header["tops"] = tops
-        planes.append(("bands", planes_8bit))
+        planes.append(Plane("bands", bands, ("band", *_PLANE)))
         rgb = live_color.render(image)
         if rgb is not None:
-            planes.append(("colours", rgb))
-        planes.append(("quality", image["quality"].values.astype(np.uint8)))
-    return _message(header, planes)
+            planes.append(Plane("colours", rgb, (*_PLANE, "rgb")))
+        planes.append(Plane("quality", image["quality"].values.astype(np.uint16), _PLANE))
+    return encode_message({**header, "coding": "display"}, planes)
 
 
 def _quantised(values: NDArray[np.floating]) -> tuple[NDArray[np.uint16], float]:
@@ -90,18 +104,3 @@ def _square_root_coded(cube: NDArray[np.floating]) -> tuple[NDArray[np.uint8], l
     tops = np.maximum(np.partition(flat, index, axis=1)[:, index], 1e-9)
     shares = np.sqrt(np.clip(filled / tops[:, None, None], 0, 1))
     return (shares * 255 + 0.5).astype(np.uint8), [float(top) for top in tops]
-
-
-def _message(header: dict[str, Any], planes: list[tuple[str, NDArray[Any]]]) -> bytes:
-    listed, offset = [], 0
-    for name, plane in planes:
-        listed.append(
-            {"name": name, "type": plane.dtype.name, "shape": list(plane.shape), "offset": offset}
-        )
-        offset += -(-plane.nbytes // 8) * 8
-    text = msgspec.json.encode(header | {"planes": listed})
-    text += b" " * (-(4 + len(text)) % 8)
-    body = bytearray(offset)
-    for entry, (_, plane) in zip(listed, planes, strict=True):
-        body[entry["offset"] : entry["offset"] + plane.nbytes] = plane.tobytes()
-    return struct.pack("<I", len(text)) + text + bytes(body)

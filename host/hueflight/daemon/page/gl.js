@@ -59,11 +59,9 @@ export class Textures {
     const gl = this.gl;
     for (const name of ["depth", "photons", "quality"]) {
       const target = this.#bind(name);
-      const wide = name !== "quality";
-      const data = planes[name] ?? new (wide ? Uint16Array : Uint8Array)(rows * cols).fill(wide ? 65535 : 0);
+      const data = planes[name] ?? new Uint16Array(rows * cols).fill(name === "quality" ? 0 : 65535);
       gl.texImage2D(
-        target, 0, wide ? gl.R16UI : gl.R8UI, cols, rows, 0, gl.RED_INTEGER,
-        wide ? gl.UNSIGNED_SHORT : gl.UNSIGNED_BYTE, data,
+        target, 0, gl.R16UI, cols, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, data,
       );
     }
     const bands = planes.bands ?? new Uint8Array(rows * cols);

@@ -20,6 +20,7 @@ __all__ = [
     "InstrumentError",
     "InstrumentNotFoundError",
     "KernelError",
+    "MemoryLimitError",
     "MissingPackageError",
     "OutputError",
     "OutputExistsError",
@@ -44,6 +45,10 @@ class HistogramError(HueflightError, ValueError):
 
 class KernelError(HueflightError):
     """Compiled kernels that were asked for and are missing, or that do not fit the Python code."""
+
+
+class MemoryLimitError(HueflightError, MemoryError):
+    """Work that would take more memory than it may have; nothing was begun."""
 
 
 class IngestError(HueflightError):

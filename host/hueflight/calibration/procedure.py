@@ -23,6 +23,7 @@ from hueflight.calibration.waveform_estimation import (
     templates_from_train,
 )
 from hueflight.errors import CalibrationError
+from hueflight.memory import require_memory
 from hueflight.model.emission import Emission
 from hueflight.model.histograms import check_histogram, frames_per_pixel
 from hueflight.model.instrument import Instrument
@@ -32,6 +33,8 @@ from hueflight.model.undersampling import smooth_undersampled
 from hueflight.model.waveforms import Templates
 
 HOT_IN_FLAT = 2.0  #: times the median count under steady light that only a hot pixel reaches
+
+CAPTURES_AT_ONCE = 3.5  #: copies of the reference as float32 in memory, measured
 
 
 def calibrate(
@@ -97,6 +100,8 @@ def calibrate(
     CalibrationError
         If a capture does not show the pulses that it should, if every pixel is dead, hot or
         saturated, or if a number makes no sense; the message says what to check.
+    MemoryLimitError
+        If the work would take more memory than `hueflight.memory.limit_bytes`.
 
     See Also
     --------
@@ -133,6 +138,7 @@ def calibrate(
     bins = instrument.time_bins()
     if flat is not None:
         bins = bins.with_widths(measured_widths(_steady_light(flat, instrument, bins), bins))
+    _require_memory(instrument, bins, separate=bands is not None)
     light = bins.in_time_order(counts).astype(np.float32)
     photons = light.sum(axis=-1, dtype=np.float64)
     if not photons.any():
@@ -220,6 +226,17 @@ def calibrate(
             "flat": flat is not None,
             "emission": emission is not None,
         },
+    )
+
+
+def _require_memory(instrument: Instrument, bins: TimeBins, *, separate: bool) -> None:
+    rows, cols, _ = instrument.histogram_shape
+    captures = CAPTURES_AT_ONCE + (2 * len(instrument.bands) if separate else 0)
+    require_memory(
+        4 * rows * cols * bins.count * captures,
+        f"the calibration of {rows} × {cols} pixels with {bins.count} bins",
+        advice="Describe and calibrate a part of the sensor, or sum neighboring codes to wider "
+        "bins",
     )
 
 

@@ -9,10 +9,11 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.fit.tiles import TILE_BINS, Waveforms, make_tiles, summed
+from hueflight.fit.tiles import TILE_BINS, Waveforms, count_tiles, make_tiles, summed
 
 RATIOS = (3.0, 15.0, 75.0)  #: peak of a band over background that the search tries
 SHAPE_FLOOR = 1e-3  #: a bin counts for a band down to this part of the band's peak
+BYTES_PER_TILE = 1500  #: that the entries of a tile take while they are compared, measured
 ZONE_FLOOR = 0.02  #: a band's zone ends where its share falls to this part of the highest
 
 
@@ -201,6 +202,30 @@ def make_search_tables(
         zone_shares=total(zone * share).astype(np.float32),
         separation=max(2, round(shortest_fwhm_ns / step_ns)),
     )
+
+
+def search_bytes(
+    sources: Sequence[Waveforms], range_ns: tuple[float, float], step_ns: float
+) -> int:
+    """Estimate the memory that `make_search_tables` takes, without making them.
+
+    Parameters
+    ----------
+    sources : sequence of Waveforms
+        Schedules at the wide bins, which stand side by side.
+    range_ns : tuple of float
+        Least and greatest delay.
+    step_ns : float
+        Step between lags, ns.
+
+    Returns
+    -------
+    int
+        Bytes.
+    """
+    first, last = lag_range(range_ns, step_ns)
+    lags_ns = np.arange(first, last + 1, dtype=np.float64) * step_ns
+    return BYTES_PER_TILE * count_tiles(sources, lags_ns)
 
 
 def lag_range(range_ns: tuple[float, float], step_ns: float) -> tuple[int, int]:

@@ -17,7 +17,7 @@ from math import ceil, floor, log
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.fit.search_tables import SearchTables, make_search_tables
+from hueflight.fit.search_tables import SearchTables, make_search_tables, search_bytes
 from hueflight.fit.tiles import (
     TILE_BINS,
     DenseRows,
@@ -26,7 +26,9 @@ from hueflight.fit.tiles import (
     equal_bin_ns,
     make_tiles,
     summed,
+    tiles_bytes,
 )
+from hueflight.memory import require_memory
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.undersampling import is_resolved
 from hueflight.model.waveforms import Templates
@@ -218,6 +220,11 @@ def make_tables(
     -------
     ModelTables
         The tables.
+
+    Raises
+    ------
+    MemoryLimitError
+        If they would take more memory than `memory.limit_bytes`.
     """
     bin_ns = max(view.bins.span_ns / view.bins.count for view in views)
     fine = max(1, floor(shortest_fwhm_ns / FINE_BINS_PER_FWHM / bin_ns))
@@ -226,10 +233,12 @@ def make_tables(
     fine_starts, fine_edges = _grouped([view.bins.edges_ns for view in views], fine)
     sources = _sources(views, fine_edges)
     phase_ns, turn = _phases(sources, delays_ns, shortest_fwhm_ns / PHASES_PER_FWHM)
-    fine_level = _level(sources, fine_starts, delays_ns, phase_ns, turn)
-    white = np.asarray(brightness, np.float64) / np.sum(brightness)
     wide_starts, wide_edges = _grouped(fine_edges, wide)
     wide_sources = _sources(views, wide_edges)
+    step_ns = wide * fine * bin_ns
+    _require_memory(sources, wide_sources, delays_ns, phase_ns, turn, step_ns)
+    fine_level = _level(sources, fine_starts, delays_ns, phase_ns, turn)
+    white = np.asarray(brightness, np.float64) / np.sum(brightness)
     wide_level = fine_level
     if wide > 1:
         wide_level = _level(wide_sources, wide_starts, delays_ns, phase_ns, turn * wide)
@@ -239,7 +248,7 @@ def make_tables(
             wide_starts,
             _widths(wide_sources),
             delays_ns,
-            wide * fine * bin_ns,
+            step_ns,
             shortest_fwhm_ns,
             white,
         ),
@@ -303,6 +312,29 @@ def _phases(
         return phase_ns, 0
     turn = ceil(TILE_BINS * width_ns / phase_ns)
     return TILE_BINS * width_ns / turn, turn
+
+
+def _require_memory(
+    sources: Sequence[Waveforms],
+    wide_sources: Sequence[Waveforms],
+    range_ns: tuple[float, float],
+    phase_ns: float,
+    turn: int,
+    step_ns: float,
+) -> None:
+    numbers = _numbers(range_ns, phase_ns)
+    needed = search_bytes(wide_sources, range_ns, step_ns)
+    needed += tiles_bytes(sources, *numbers, phase_ns, turn=turn)
+    if wide_sources[0].edges_ns.size < sources[0].edges_ns.size:
+        wide = round((sources[0].edges_ns.size - 1) / (wide_sources[0].edges_ns.size - 1))
+        needed += tiles_bytes(wide_sources, *numbers, phase_ns, turn=turn * wide)
+    require_memory(
+        needed,
+        f"the tables of {numbers[1]} delays, {sources[0].templates.bands} bands and "
+        f"{sum(source.edges_ns.size - 1 for source in sources)} bins",
+        advice="Give a narrower depth_range, which needs fewer delays, or sum neighboring codes to "
+        "wider bins",
+    )
 
 
 def _level(

@@ -19,8 +19,8 @@ TILE_BINS = 16  #: bins of a tile; a multiple of the lanes of every kernel
 EQUAL = 1e-6  #: edges that differ by less than this part of a bin are equal
 DARK = 1e-10  #: coefficients below this part of a band's highest give no light that is kept
 ROWS_AT_ONCE = 1 << 14  #: tiles that are computed together, which bounds the memory it takes
-BYTES_PER_ROW = 3 * 2 * 8 * TILE_BINS  #: of values while they are computed and cropped
-BYTES_PER_TILE = 48  #: of the places of a tile while they are sorted
+BYTES_PER_ROW = 600  #: that values take while they are computed and cropped, measured
+BYTES_PER_TILE = 140  #: that the place of a tile takes while it is sorted, measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +217,7 @@ def lit_blocks(
 
 
 def count_tiles(sources: Sequence[Waveforms], delays_ns: NDArray[np.float64]) -> int:
-    """Count the tiles that `make_tiles` would make, at most, without making them.
+    """Count the tiles of some delays without making them, at most.
 
     Parameters
     ----------
@@ -234,6 +234,33 @@ def count_tiles(sources: Sequence[Waveforms], delays_ns: NDArray[np.float64]) ->
     return sum(
         int((last - first + 1).sum()) for _, _, first, last in lit_blocks(sources, delays_ns)
     )
+
+
+def tiles_bytes(
+    sources: Sequence[Waveforms], first: int, delays: int, step_ns: float, *, turn: int = 0
+) -> int:
+    """Estimate the memory that `make_tiles` takes at most, without making them.
+
+    Parameters
+    ----------
+    sources : sequence of Waveforms
+        Schedules, whose bins stand side by side.
+    first, delays : int
+        First delay in units of the step, and how many there are.
+    step_ns : float
+        Step between delays, ns.
+    turn : int
+        Delays after which values are shared; 0 if they are not.
+
+    Returns
+    -------
+    int
+        Bytes.
+    """
+    tiles = count_tiles(sources, np.arange(first, first + delays) * np.float64(step_ns))
+    # light that comes over an end of the bins at some delays is counted twice
+    rows = min(tiles, 2 * tiles * turn // delays) if turn else tiles
+    return BYTES_PER_TILE * tiles + BYTES_PER_ROW * rows
 
 
 def equal_bin_ns(sources: Sequence[Waveforms]) -> float | None:

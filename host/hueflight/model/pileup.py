@@ -196,7 +196,7 @@ def coates_correction(
     return whole
 
 
-def _float_type(light: NDArray[np.generic]) -> np.dtype[np.floating]:
+def _float_type(light: NDArray[np.floating]) -> np.dtype[np.floating]:
     return light.dtype if light.dtype.kind == "f" else np.dtype(np.float32)
 
 

@@ -18,6 +18,7 @@ SOURCES = {
 ORDER = (
     "errors",
     "lazy",
+    "memory",
     "model",
     "backend",
     "files",

@@ -22,7 +22,9 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.model.instrument import Instrument
     from hueflight.model.schedules import Schedule
     from hueflight.reconstruction.bounds import depth_bound, reflectance_bound
+    from hueflight.reconstruction.departures import correct_drift
     from hueflight.reconstruction.entry_point import reconstruct, reconstruct_packets
+    from hueflight.reconstruction.image_check import check_image
     from hueflight.reconstruction.interleaved import reconstruct_interleaved
     from hueflight.reconstruction.interleaved import (
         reconstruct_interleaved as reconstruct_alternated,
@@ -43,10 +45,12 @@ _HOME = {
     "Quality": "hueflight.reconstruction.quality",
     "Schedule": "hueflight.model.schedules",
     "calibrate": "hueflight.calibration",
+    "check_image": "hueflight.reconstruction.image_check",
     "color_picture": "hueflight.color",
     "compare": "hueflight.analysis",
     "connect": "hueflight.client.sync_client",
     "connect_async": "hueflight.client.async_client",
+    "correct_drift": "hueflight.reconstruction.departures",
     "depth_bound": "hueflight.reconstruction.bounds",
     "flag_mixed": "hueflight.reconstruction.mixed_pixels",
     "open_recording": "hueflight.recording",
@@ -90,10 +94,12 @@ __all__ = [
     "Schedule",
     "__version__",
     "calibrate",
+    "check_image",
     "color_picture",
     "compare",
     "connect",
     "connect_async",
+    "correct_drift",
     "depth_bound",
     "flag_mixed",
     "open_recording",

@@ -29,6 +29,7 @@ from hueflight.fit.tiles import (
     tiles_bytes,
 )
 from hueflight.memory import require_memory
+from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.undersampling import is_resolved
 from hueflight.model.waveforms import Templates
@@ -56,11 +57,14 @@ class ScheduleView:
         Its waveforms.
     weight : float
         Its share of a pixel's exposures, on any scale.
+    background : BackgroundShape
+        How the background is distributed over the bins.
     """
 
     bins: TimeBins
     templates: Templates
     weight: float = 1.0
+    background: BackgroundShape = FLAT
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +282,7 @@ def _grouped(edges: list[NDArray], factor: int) -> tuple[NDArray[np.intp], list[
 def _sources(views: Sequence[ScheduleView], edges: list[NDArray]) -> list[Waveforms]:
     whole = sum(view.weight for view in views)
     return [
-        Waveforms(edge, view.templates, view.weight / whole)
+        Waveforms(edge, view.templates, view.weight / whole, view.background)
         for view, edge in zip(views, edges, strict=True)
     ]
 
@@ -286,10 +290,7 @@ def _sources(views: Sequence[ScheduleView], edges: list[NDArray]) -> list[Wavefo
 def _widths(sources: Sequence[Waveforms]) -> NDArray[np.float64]:
     """Share of the background in every bin."""
     return np.concatenate(
-        [
-            source.weight * np.diff(source.edges_ns) / (source.edges_ns[-1] - source.edges_ns[0])
-            for source in sources
-        ]
+        [source.weight * source.background.shares(source.edges_ns) for source in sources]
     )
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.waveforms import Templates
 
 TILE_BINS = 16  #: bins of a tile; a multiple of the lanes of every kernel
@@ -35,11 +36,14 @@ class Waveforms:
         Waveform of each band.
     weight : float
         Share of the exposures; those of all schedules add up to 1.
+    background : BackgroundShape
+        How the background is distributed over the bins.
     """
 
     edges_ns: NDArray[np.float64]
     templates: Templates
     weight: float
+    background: BackgroundShape = FLAT
 
 
 @dataclass(frozen=True, eq=False)

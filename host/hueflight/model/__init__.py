@@ -1,5 +1,6 @@
 """Physics of the measurement: instrument, pulses, time bins, waveforms, spectra and pile-up."""
 
+from hueflight.model.background_shape import BackgroundShape
 from hueflight.model.emission import Emission
 from hueflight.model.instrument import (
     SPEED_OF_LIGHT_M_PER_NS,
@@ -21,6 +22,7 @@ from hueflight.model.waveforms import Templates
 
 __all__ = [
     "SPEED_OF_LIGHT_M_PER_NS",
+    "BackgroundShape",
     "Band",
     "Emission",
     "Instrument",

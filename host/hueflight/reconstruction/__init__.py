@@ -15,8 +15,10 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
         information,
         reflectance_bound,
     )
+    from hueflight.reconstruction.departures import Correction, correct_drift, with_floor
     from hueflight.reconstruction.entry_point import reconstruct, reconstruct_packets
     from hueflight.reconstruction.estimates import Estimates
+    from hueflight.reconstruction.image_check import ImageCheck, Suspect, check_image
     from hueflight.reconstruction.inputs import PreparedHistogram
     from hueflight.reconstruction.interleaved import reconstruct_interleaved
     from hueflight.reconstruction.methods import METHODS, Estimator, find_method, register
@@ -42,10 +44,12 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
 #: module of each public name
 _HOME = {
     "BINDING_OPTIONS": "hueflight.reconstruction.options",
+    "Correction": "hueflight.reconstruction.departures",
     "DEFAULT_SKIPS": "hueflight.reconstruction.options",
     "Estimates": "hueflight.reconstruction.estimates",
     "Estimator": "hueflight.reconstruction.methods",
     "EstimatorOptions": "hueflight.reconstruction.options",
+    "ImageCheck": "hueflight.reconstruction.image_check",
     "METHODS": "hueflight.reconstruction.methods",
     "MixedPixels": "hueflight.reconstruction.mixed_pixels",
     "NO_SKIPS": "hueflight.reconstruction.options",
@@ -54,7 +58,10 @@ _HOME = {
     "Region": "hueflight.reconstruction.options",
     "Skips": "hueflight.reconstruction.options",
     "StopRule": "hueflight.reconstruction.stopping",
+    "Suspect": "hueflight.reconstruction.image_check",
     "Video": "hueflight.reconstruction.video",
+    "check_image": "hueflight.reconstruction.image_check",
+    "correct_drift": "hueflight.reconstruction.departures",
     "depth_bound": "hueflight.reconstruction.bounds",
     "expected_shares": "hueflight.reconstruction.bounds",
     "find_method": "hueflight.reconstruction.methods",
@@ -72,6 +79,7 @@ _HOME = {
     "register": "hueflight.reconstruction.methods",
     "seen_enough": "hueflight.reconstruction.stopping",
     "share_known": "hueflight.reconstruction.stopping",
+    "with_floor": "hueflight.reconstruction.departures",
 }
 
 __all__ = [
@@ -79,16 +87,21 @@ __all__ = [
     "DEFAULT_SKIPS",
     "METHODS",
     "NO_SKIPS",
+    "Correction",
     "Estimates",
     "Estimator",
     "EstimatorOptions",
+    "ImageCheck",
     "MixedPixels",
     "PreparedHistogram",
     "Quality",
     "Region",
     "Skips",
     "StopRule",
+    "Suspect",
     "Video",
+    "check_image",
+    "correct_drift",
     "depth_bound",
     "expected_shares",
     "find_method",
@@ -106,6 +119,7 @@ __all__ = [
     "register",
     "seen_enough",
     "share_known",
+    "with_floor",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__, _HOME)

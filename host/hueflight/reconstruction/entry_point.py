@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
 
+import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 from hueflight.calibration import Calibration
-from hueflight.errors import HistogramError
+from hueflight.errors import HistogramError, HueflightError
 from hueflight.ingest import IngestReport, accumulate
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.kernels import Buffer
+from hueflight.model.background_shape import FLAT, BackgroundShape
+from hueflight.reconstruction import joint
+from hueflight.reconstruction.departures import find_background
 from hueflight.reconstruction.image import as_image
-from hueflight.reconstruction.inputs import prepare_histogram
+from hueflight.reconstruction.image_check import MOST_PIXELS, trusted
+from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
 from hueflight.reconstruction.methods import METHODS, check_options, find_method
 from hueflight.reconstruction.options import (
     DEFAULT_SKIPS,
@@ -40,6 +47,7 @@ def reconstruct(
     frames: ArrayLike | None = None,
     range_correction: bool | None = None,
     pileup_correction: bool = True,
+    background: BackgroundShape | Literal["flat", "sloped"] = "flat",
     bands: Sequence[str | int] | None = None,
     region: Region | None = None,
     skips: Skips = DEFAULT_SKIPS,
@@ -70,6 +78,10 @@ def reconstruct(
     pileup_correction : bool
         Undo the loss of later photons of an exposure, where the sensor reports its empty exposures
         or `frames` says how many there were.
+    background : BackgroundShape or {"flat", "sloped"}
+        How the background is distributed over the time bins. ``"sloped"`` finds a slope or a slow
+        decay that all pixels share, from their residuals, before all pixels are fitted with it;
+        ``image.background.attrs["shape"]`` says what was found. ``"joint"`` only.
     bands : sequence of str or int, optional
         Names or numbers of the bands whose reflectance is wanted, by default all. All bands are
         fitted in any case, because depth rests on the light of every band.
@@ -102,20 +114,50 @@ def reconstruct(
     wanted = region_mask(region, calibration.instrument.image_shape)
     numbers = band_numbers(bands, calibration)
     corrected = resolve(range_correction, calibration, honors=estimator.honors)
+    if not isinstance(background, BackgroundShape) and background not in ("flat", "sloped"):
+        raise HueflightError(
+            f"background = {background!r}: choose 'flat' or 'sloped', or give a BackgroundShape"
+        )
     options = EstimatorOptions(
         depth_range=depth_range,
         range_correction=corrected,
         pileup_correction=pileup_correction,
+        background=FLAT if background == "flat" else background,
         region=wanted,
         skips=skips,
         threads=threads,
     )
     check_options(method, estimator, options)
+    if options.background == "sloped":
+        options = replace(options, background=_background_of(prepared, calibration, options))
     estimates = estimator.estimate(prepared, calibration, options)
     estimates.quality[prepared.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
     image = as_image(estimates, calibration, method=method, range_correction=corrected)
+    if isinstance(options.background, BackgroundShape) and options.background != FLAT:
+        image["background"].attrs["shape"] = str(options.background)
     return image if bands is None else image.isel(band=numbers)
+
+
+def _background_of(
+    prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions
+) -> BackgroundShape:
+    """Shape of the background, from some of the pixels that are asked for."""
+    wanted = options.region
+    if wanted is None:
+        wanted = np.ones(prepared.photons.shape, bool)
+    numbers = np.flatnonzero(wanted & calibration.usable)
+    some = np.zeros(wanted.shape, bool)
+    some.flat[numbers[:: max(1, numbers.size // MOST_PIXELS)]] = True
+    flat = joint.estimate(prepared, calibration, replace(options, background=FLAT, region=some))
+    return find_background(
+        prepared,
+        calibration,
+        trusted(flat.depth, flat.quality) & some,
+        depth_range=options.depth_range,
+        pileup_correction=options.pileup_correction,
+        threads=options.threads,
+    )
 
 
 def reconstruct_packets(

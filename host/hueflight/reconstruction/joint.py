@@ -23,6 +23,7 @@ from hueflight.fit.tables import (
     detection_threshold,
     make_tables,
 )
+from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.undersampling import smooth_undersampled
@@ -41,17 +42,20 @@ from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import relative_range, widened
 
 #: options that change the result and that the method takes into account
-honors = frozenset({"depth_range", "range_correction", "pileup_correction"})
+honors = frozenset({"depth_range", "range_correction", "pileup_correction", "background"})
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
 
-_kept_tables: WeakKeyDictionary[Calibration, dict[tuple[float, float], ModelTables]] = (
-    WeakKeyDictionary()
-)
+_Key = tuple[tuple[float, float], BackgroundShape]
+_kept_tables: WeakKeyDictionary[Calibration, dict[_Key, ModelTables]] = WeakKeyDictionary()
 
 
-def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, float]) -> ModelTables:
+def tables_for_calibration(
+    calibration: Calibration,
+    search_ns: tuple[float, float],
+    background: BackgroundShape = FLAT,
+) -> ModelTables:
     """Return the tables for a calibration, which are kept as long as it lives.
 
     Parameters
@@ -60,6 +64,8 @@ def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, flo
         The calibration.
     search_ns : tuple of float
         Least and greatest delay against the reference.
+    background : BackgroundShape
+        How the background is distributed over the bins.
 
     Returns
     -------
@@ -67,18 +73,44 @@ def tables_for_calibration(calibration: Calibration, search_ns: tuple[float, flo
         Tables of the fit.
     """
     kept = _kept_tables.setdefault(calibration, {})
-    if search_ns not in kept:
+    key = search_ns, background
+    if key not in kept:
         delays_ns = calibration.pixel_delay_ns[calibration.usable]
         instrument = calibration.instrument
-        kept[search_ns] = make_tables(
-            [ScheduleView(calibration.bins, calibration.templates)],
+        kept[key] = make_tables(
+            [ScheduleView(calibration.bins, calibration.templates, background=background)],
             shortest_fwhm_ns=min(band.pulse_fwhm_ns for band in instrument.bands),
             brightness=calibration.brightness,
             search_ns=search_ns,
             offsets_ns=(float(delays_ns.min()), float(delays_ns.max())),
             contrasts=wavelength_contrasts(instrument.wavelengths_nm),
         )
-    return kept[search_ns]
+    return kept[key]
+
+
+def resolved_background(options: EstimatorOptions) -> BackgroundShape:
+    """Return the shape of the background, which must be known.
+
+    Parameters
+    ----------
+    options : EstimatorOptions
+        What was asked for.
+
+    Returns
+    -------
+    BackgroundShape
+        The shape.
+
+    Raises
+    ------
+    HueflightError
+        If it is still to be found, which `reconstruct` does.
+    """
+    if not isinstance(options.background, BackgroundShape):
+        raise HueflightError(
+            f"background = {options.background!r}: give the shape itself, or use reconstruct"
+        )
+    return options.background
 
 
 def search_range_ns(
@@ -161,7 +193,7 @@ def estimate(
         photons,
         exposures if options.pileup_correction else None,
         calibration,
-        tables_for_calibration(calibration, search_ns),
+        tables_for_calibration(calibration, search_ns, resolved_background(options)),
         skips=skips,
         threads=options.threads,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.fit.reference import DEFAULT, FitOptions
+from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.quality import Quality
@@ -104,6 +105,8 @@ class EstimatorOptions:
         Multiply reflectance by the squared ratio of the distance to that of the reference.
     pileup_correction : bool
         Undo the loss of photons that arrive after the first one of an exposure.
+    background : BackgroundShape or {"sloped"}
+        How the background is distributed over the time bins; "sloped" until it is known.
     region : ndarray of bool, shape (row, col), or None
         Pixels that are asked for, None for all. A method may estimate more.
     skips : Skips
@@ -115,13 +118,14 @@ class EstimatorOptions:
     depth_range: tuple[float, float] | None = None
     range_correction: bool = False
     pileup_correction: bool = True
+    background: BackgroundShape | Literal["sloped"] = FLAT
     region: NDArray[np.bool_] | None = None
     skips: Skips = DEFAULT_SKIPS
     threads: int = 1
 
 
 #: fields of `EstimatorOptions` that change the result, so that a method must not ignore them
-BINDING_OPTIONS = frozenset({"depth_range", "range_correction", "pileup_correction"})
+BINDING_OPTIONS = frozenset({"depth_range", "range_correction", "pileup_correction", "background"})
 
 
 def region_mask(region: Region | None, shape: tuple[int, int]) -> NDArray[np.bool_]:

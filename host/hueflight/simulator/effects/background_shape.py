@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.model.background_shape import BackgroundShape
 from hueflight.model.time_bins import TimeBins
 from hueflight.simulator.effects.settings import Effects
 
@@ -34,11 +35,6 @@ class UnevenBackground:
 def background_shares(bins: TimeBins, effects: Effects) -> NDArray[np.float64]:
     """Return the fraction of the ambient light that falls into each time bin.
 
-    With *u* from 0 to 1 over the span of the bins, the cumulative share of the ramp of slope *r*
-    is ``u - r·u·(1 - u)`` and that of the decay with time constant τ over the span *T* is
-    ``(1 - exp(-u·T/τ)) / (1 - exp(-T/τ))``, what earlier periods left included. The two are mixed
-    by `Effects.background_decay_share`.
-
     Parameters
     ----------
     bins : TimeBins
@@ -51,9 +47,9 @@ def background_shares(bins: TimeBins, effects: Effects) -> NDArray[np.float64]:
     ndarray of float, shape (bin,)
         Shares in the order of time; they sum to 1.
     """
-    u = (bins.edges_ns - bins.edges_ns[0]) / bins.span_ns
-    ramp = u - effects.background_ramp * u * (1 - u)
-    constants = bins.span_ns / effects.background_decay_ns
-    decay = np.expm1(-u * constants) / np.expm1(-constants)
-    share = effects.background_decay_share
-    return np.diff((1 - share) * ramp + share * decay)
+    shape = BackgroundShape(
+        slope=effects.background_ramp,
+        decay_share=effects.background_decay_share,
+        decay_ns=effects.background_decay_ns,
+    )
+    return shape.shares(bins.edges_ns)

@@ -30,6 +30,9 @@ from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
 from hueflight.reconstruction.shared_scores import bias_of
 
 BACKGROUND_PASSES = 4  #: in which the shape of the background is found
+#: of the predicted bias that counts as a standard deviation: tails of other shapes than those that
+#: are tried leave 0.7 to 1.5 times the bias that is predicted
+UNKNOWN_SHAPE = 1.3
 DRIFT_PASSES = 2  #: in which delays and widths are found
 
 
@@ -278,7 +281,7 @@ def with_floor(
     if "flare" in causes:
         delay_ns = float(check["flare"].labels[0].split()[0])
         sizes[flares + model.flares_ns.index(delay_ns)] = check["flare"].sizes[0]
-    bias = bias_of(sampled.fitted, model, sizes)
+    bias = UNKNOWN_SHAPE * bias_of(sampled.fitted, model, sizes)
     chosen = known & calibration.usable
     widened = image.copy()
     along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()

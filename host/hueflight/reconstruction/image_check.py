@@ -45,6 +45,9 @@ DECAYS_NS = (20.0, 30.0, 40.0, 50.0, 65.0, 80.0, 120.0)  #: time constants of a 
 FLARES_NS = (0.0, 2.0, 4.0, 8.0)  #: delays of lens flare after the mean arrival
 SETTLED = 0.5  #: deviations by which a shape of the background may still be off
 STEEPEST = 0.98  #: slope of the background that is looked for; at 1 it would reach 0
+#: variance of what the waveforms of the calibration tell, relative to that of a picture of as many
+#: photons as its reference: none of them is negative, which biases their feet
+CALIBRATION_NOISE = 4.0
 BINS_PER_FWHM = 8  #: bins on a pulse from which the widths of single bins can be judged
 #: standard deviation of each kind of departure before anything is known: keeps what the picture
 #: does not tell at 0
@@ -408,9 +411,9 @@ def check_pixels(sampled: SampledPixels, calibration: Calibration) -> ImageCheck
     fitted, model = sampled.fitted, sampled.model
     scores = sum_scores(fitted, model)
     photons = float(fitted.counts.sum())
-    # the waveforms of the calibration are as uncertain as a picture of its photons would tell them
     reference = float(calibration.reference.sum(dtype=np.float64))
-    solution = _solve(scores, model, noise=1 + photons / max(reference, 1.0))
+    noise = 1 + CALIBRATION_NOISE * photons / max(reference, 1.0)
+    solution = _solve(scores, model, noise=noise)
     names = [band.name for band in calibration.instrument.bands]
     suspects = [*solution.suspects(names)]
     fwhm_ns = min(band.pulse_fwhm_ns for band in calibration.instrument.bands)

@@ -321,9 +321,9 @@ def _lens(
         )
     if focal_length is not None and field_of_view is not None:
         raise InstrumentError("--focal-length and --field-of-view: give one of them")
-    if focal_length is None:
-        assert field_of_view is not None
+    if focal_length is None and field_of_view is not None:
         if not 0 < field_of_view < 180:
             raise InstrumentError(f"--field-of-view {field_of_view:g}: between 0 and 180 degrees")
         focal_length = 1e-3 * pixel_width * cols / (2 * np.tan(np.radians(field_of_view) / 2))
+    assert focal_length is not None  # one of the two is given
     return Lens(focal_length_mm=round(float(focal_length), 6)), pitch

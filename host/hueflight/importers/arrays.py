@@ -111,7 +111,7 @@ def _read_npz(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None
                 f"instrument as JSON, but it holds {text[:60]!r}: rename this entry, or store "
                 "Instrument.to_json() there"
             )
-        return file[_choose(path, names, dataset)], text
+        return file[choose_array(path, names, dataset)], text
 
 
 def _read_zarr(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None]:
@@ -124,7 +124,7 @@ def _read_zarr(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | Non
             )
         return np.asarray(node[...]), text
     names = [name for name, member in node.members(max_depth=None) if hasattr(member, "dtype")]
-    chosen = node[_choose(path, names, dataset)]
+    chosen = node[choose_array(path, names, dataset)]
     assert isinstance(chosen, zarr.Array)  # `names` has only arrays
     return np.asarray(chosen[...]), text
 
@@ -136,14 +136,34 @@ def _read_hdf5(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | Non
         file.visititems(
             lambda name, node: names.append(name) if isinstance(node, h5py.Dataset) else None
         )
-        array = file[_choose(path, names, dataset)]
+        array = file[choose_array(path, names, dataset)]
         if array.dtype.kind not in "uif":
             raise FileFormatError(f"{str(path)!r}: {array.name} holds {array.dtype}, not numbers")
         return array[...], description_in(dict(file.attrs))
 
 
-def _choose(path: Path, names: list[str], dataset: str | None) -> str:
-    """Return the name asked for, the only name, or the one called like counts."""
+def choose_array(path: Path, names: list[str], dataset: str | None) -> str:
+    """Choose one of the arrays of a file: the one asked for, the only one, or ``histogram``.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file, for messages.
+    names : list of str
+        Names of its arrays.
+    dataset : str or None
+        Name that was asked for.
+
+    Returns
+    -------
+    str
+        Name of the array.
+
+    Raises
+    ------
+    FileFormatError
+        If there is no such array, or it is not clear which is meant.
+    """
     if dataset is not None:
         if dataset.strip("/") not in names:
             raise FileFormatError(

@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError
 from hueflight.importers.arrays import read_array_counts
+from hueflight.importers.matlab import read_mat
 from hueflight.importers.options import ReadOptions
+from hueflight.importers.photon_hdf5 import read_hdf5
 from hueflight.importers.tcspc import read_ptu, read_sdt
+from hueflight.importers.text import read_csv, read_json_log
 from hueflight.model.instrument import Instrument
 
 ENTRY_POINT_GROUP = "hueflight.importers"
@@ -60,9 +63,13 @@ READERS: dict[str, CountsReader] = {
     ".npy": read_array_counts,
     ".npz": read_array_counts,
     ".zarr": read_array_counts,
-    ".h5": read_array_counts,
-    ".hdf5": read_array_counts,
-    ".hdf": read_array_counts,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".hdf": read_hdf5,
+    ".mat": read_mat,
+    ".csv": read_csv,
+    ".json": read_json_log,
+    ".jsonl": read_json_log,
     ".ptu": read_ptu,
     ".sdt": read_sdt,
 }

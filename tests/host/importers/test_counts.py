@@ -161,8 +161,8 @@ def test_damaged_files_are_named_not_trusted(counts: NDArray[Any], tmp_path: Pat
 def test_files_that_are_not_there_or_of_other_kinds(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="there is no such file"):
         read_counts(tmp_path / "x.npy", CAMERA)
-    with pytest.raises(FileFormatError, match=r"ends in '\.mat': counts are read from \.npy"):
-        read_counts(tmp_path / "x.mat", CAMERA)
+    with pytest.raises(FileFormatError, match=r"ends in '\.bmp': counts are read from \.npy"):
+        read_counts(tmp_path / "x.bmp", CAMERA)
     np.save(tmp_path / "x.npy", np.ones((3, 4, 64)))
     with pytest.raises(InstrumentError, match="does not say which instrument"):
         read_counts(tmp_path / "x.npy")

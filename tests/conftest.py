@@ -17,6 +17,7 @@ MAY_LACK = (  #: beginnings of the reasons for which CI may skip
     "real measurements are not ",  # they are no part of the project
     "measured spectra are not ",
     "this processor can't run ",  # a build of the kernels for another one
+    "this user may not mount ",  # disks of a test
     "udevadm 252 has no verify",  # that of Debian 12
 )
 

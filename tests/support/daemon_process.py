@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
@@ -29,8 +30,17 @@ def until(condition: Callable[[], bool], what: str) -> None:
 class Daemon:
     """A running `hueflight serve`."""
 
-    def __init__(self, config: Path, environment: dict[str, str]) -> None:
+    def __init__(
+        self, config: Path, environment: dict[str, str], *, faults: Path | None = None
+    ) -> None:
         command = "from hueflight.cli import main; main()"
+        if faults is not None:  # the folder that asks for faults of the program
+            prepare = f"install(pathlib.Path({str(faults)!r}))"
+            command = (
+                "import pathlib, sys; "
+                f"sys.path.insert(0, {str(Path(__file__).parents[1])!r}); "
+                f"from support.program_faults import install; {prepare}; {command}"
+            )
         self.process = subprocess.Popen(
             [sys.executable, "-c", command, "serve", str(config), "--json-logs"],
             env=os.environ | environment,
@@ -61,6 +71,14 @@ class Daemon:
         )
         with urllib.request.urlopen(request, timeout=30) as answer:
             return json.loads(answer.read())
+
+    def health(self) -> tuple[int, Any]:
+        """Status code and content of /health."""
+        try:
+            with urllib.request.urlopen(self.url + "/health", timeout=30) as answer:
+                return answer.status, json.loads(answer.read())
+        except urllib.error.HTTPError as error:
+            return error.code, json.loads(error.read())
 
     def status(self) -> Any:
         return self.get("/api/status")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import replace
 
+from hueflight.acquisition.plan import CaptureError
 from hueflight.acquisition.run import Run
 from hueflight.acquisition.running import READ_S
 from hueflight.acquisition.session import Session
@@ -85,6 +87,40 @@ def fail_run(session: Session, reason: str) -> State:
         _conclude(session, run, reason)
     session.report_problem(reason)
     return session.resting_state
+
+
+def give_up(session: Session, reason: str) -> None:
+    """Leave everything after a fault of the program, so that acquisition can begin anew.
+
+    The run ends, with its frames accounted for as far as that is still possible.
+
+    Parameters
+    ----------
+    session : Session
+        In any state, also in one that it should never be in.
+    reason : str
+        What happened, in words.
+    """
+    for attempt in (finish, _conclude_as_it_is):
+        if session.run is not None:
+            with suppress(BaseException):  # whatever failed before may fail again here
+                attempt(session, reason)
+    future, session.future = session.future, None
+    if future is not None and not future.done():
+        future.set_exception(CaptureError(reason))
+    session.run = session.recorder = None
+    rig, session.rig = session.rig, None
+    if rig is not None:
+        with suppress(BaseException):
+            rig.close()
+    session.open_gap = None
+    session.failed = True
+    session.publish(State.FAILED, problem=reason)
+
+
+def _conclude_as_it_is(session: Session, reason: str) -> None:
+    if session.run is not None:
+        _conclude(session, session.run, reason)
 
 
 def _stop_and_drain(session: Session, rig: Rig, run: Run) -> None:

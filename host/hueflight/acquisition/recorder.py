@@ -2,27 +2,34 @@
 
 Pieces of the stream wait in a bounded queue. When it is full, pieces are left out of the
 recording, and the frames in them counted as lost to the disk; acquisition sees them all the same.
+An error of the disk, a lack of room and any other failure concern the recording alone.
 """
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from hueflight.acquisition.plan import CaptureError, RunPlan
+from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.errors import RecordingError
+from hueflight.files.room import Room
 from hueflight.model.instrument import Instrument
 from hueflight.recording import RecordingWriter
+from hueflight.recording.writer import CHUNK_BYTES
 
 QUEUE_BYTES = 128 << 20
 BATCH_BYTES = (
     4 << 20
 )  #: written in one go at most: each call waits for the interpreter's lock again
 MIN_FREE_BYTES = 256 << 20  #: recording stops before it takes the system's last bytes
+INDEX_BYTES = 1 << 20  #: kept for the index that finishes a segment
+RESUME_BYTES = 16 << 20  #: room beyond the reserve with which a paused recording goes on
 RETRY_S = 5.0  #: after a failure, how often to look whether there is room again
 FLUSH_S = 0.5
 
@@ -39,14 +46,19 @@ class Recorder:
     queue_bytes : int
         Most bytes that wait for the disk.
     min_free_bytes : int
-        Space that must stay free on the disk, in bytes.
+        Space that must stay free on the disk, in bytes. At this threshold the recording pauses,
+        between two packets; it goes on in a new segment when there is room.
+    on_event : callable, optional
+        Receives the name and the details of what happens, in the thread of the recorder.
 
     Attributes
     ----------
     path : Path
         Where the recording is written.
     failure : str
-        Why writing broke off, empty if it did not.
+        Why frames are missing from the recording, empty if none are.
+    paused : bool
+        True while frames are not written.
 
     Raises
     ------
@@ -62,25 +74,38 @@ class Recorder:
         *,
         queue_bytes: int = QUEUE_BYTES,
         min_free_bytes: int = MIN_FREE_BYTES,
+        on_event: Callable[[str, dict[str, Any]], None] | None = None,
     ) -> None:
         if plan.path is None:
             raise CaptureError("a recorder needs a plan with a path")
         self.path: Path = plan.path
         self.failure = ""
+        self.paused = False
         self._min_free = min_free_bytes
-        self._check_space()
-        self._writer = RecordingWriter(
-            plan.path, instrument, metadata=plan.metadata, attachments=plan.attachments
-        )
+        self._on_event = on_event or (lambda _, __: None)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._room = Room(self.path.parent)
+            self._check_room(INDEX_BYTES)
+            self._writer = RecordingWriter(
+                plan.path, instrument, metadata=plan.metadata, attachments=plan.attachments
+            )
+        except OSError as error:
+            raise RecordingError(
+                f"can't start {self.path}: {error.strerror or error}: choose another folder or "
+                "mend the disk"
+            ) from error
         self._queue: deque[bytes] = deque()
         self._queue_limit = queue_bytes
         self._queued = 0
         self._skipped_bytes = self._offered_bytes = 0
         self._changed = threading.Condition()
-        self._closing = False
+        self._closing = self._broken = False
         self._retry_at = 0.0
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread(
+            self._run, name="recorder", on_failure=self._break_off, restart=False
+        )
+        self.thread.start()
 
     def offer(self, piece: bytes, /) -> None:
         """Take a piece of the stream, or leave it out if the disk is too far behind.
@@ -92,6 +117,9 @@ class Recorder:
         """
         with self._changed:
             self._offered_bytes += len(piece)
+            if self._broken:
+                self._skipped_bytes += len(piece)
+                return
             if self._queued + len(piece) > self._queue_limit:
                 self._skipped_bytes += len(piece)
                 self.failure = self.failure or (
@@ -131,7 +159,7 @@ class Recorder:
         int
             Number of frames.
         """
-        if self._closing and not self._thread.is_alive():
+        if self._closing and not self.thread.alive:
             return max(0, delivered - self._writer.frames)
         if not self._offered_bytes:
             return 0
@@ -143,13 +171,14 @@ class Recorder:
         with self._changed:
             self._closing = True
             self._changed.notify()
-        self._thread.join()
+        self.thread.join()
 
     # -- the recorder's thread ----------------------------------------------------------------
 
     def _run(self) -> None:
         set_thread_priority(ThreadPriority.RECORDING)
         while True:
+            self.thread.beat()
             with self._changed:
                 if not self._queue and not self._closing:
                     self._changed.wait(FLUSH_S)
@@ -160,41 +189,62 @@ class Recorder:
                     batch.append(self._queue.popleft())
                     size += len(batch[-1])
                 self._queued -= size
-            self._put(b"".join(batch) if batch else None)
+            self._put(b"".join(batch))
         try:
             self._writer.close()
-        except RecordingError as error:
-            self.failure = str(error)
+        except (RecordingError, OSError) as error:
+            self._pause(str(error))
 
-    def _put(self, piece: bytes | None) -> None:
+    def _put(self, piece: bytes) -> None:
+        """Write a piece, or have the writer count the frames in it as lost while it is paused."""
         try:
             if self._writer.error is None:
-                self._check_space_now_and_then()
+                self._suspend_without_room(len(piece))
             elif time.monotonic() >= self._retry_at:
-                self._retry_at = time.monotonic() + RETRY_S
-                self._check_space()
-                self._writer.resume()
-            if piece is None:
-                self._writer.flush()
-            else:
+                self._resume(len(piece))
+        except (RecordingError, OSError) as error:
+            self._pause(str(error))
+        try:
+            if piece:
                 self._writer.write(piece)
-        except RecordingError as error:
-            self.failure = str(error)
-            self._retry_at = max(self._retry_at, time.monotonic() + RETRY_S)
+            else:
+                self._writer.flush()
+        except (RecordingError, OSError) as error:
+            self._pause(str(error))
 
-    _space_checked = 0.0
+    def _suspend_without_room(self, size: int) -> None:
+        try:
+            self._check_room(size + CHUNK_BYTES + INDEX_BYTES)
+        except (RecordingError, OSError) as error:
+            # first of all: nothing that comes from here on may be written
+            self._writer.suspend(str(error))
+            raise
 
-    def _check_space_now_and_then(self) -> None:
-        if time.monotonic() - self._space_checked > 1.0:
-            self._space_checked = time.monotonic()
-            self._check_space()
+    def _resume(self, size: int) -> None:
+        self._retry_at = time.monotonic() + RETRY_S
+        self._check_room(size + CHUNK_BYTES + INDEX_BYTES + RESUME_BYTES)
+        self._writer.resume()
+        self.paused = False
+        self._on_event("recording goes on", {"path": str(self.path), "failure": self.failure})
 
-    def _check_space(self) -> None:
-        folder = self.path.parent
-        folder.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(folder).free
-        if free < self._min_free:
-            raise RecordingError(
-                f"only {free >> 20} MiB are free under {folder}, recording needs more than "
-                f"{self._min_free >> 20} MiB: make room or choose another folder"
-            )
+    def _pause(self, reason: str) -> None:
+        self._retry_at = max(self._retry_at, time.monotonic() + RETRY_S)
+        self.failure = reason
+        if not self.paused:
+            self.paused = True
+            self._on_event("recording paused", {"path": str(self.path), "reason": reason})
+
+    def _break_off(self, reason: str, trace: str) -> None:
+        """After a fault of the program: what is in the files stays, all else counts as lost."""
+        with self._changed:
+            self._broken = self.paused = True
+            self.failure = f"writing {self.path} broke off: {reason}"
+            self._skipped_bytes += self._queued
+            self._queue.clear()
+            self._queued = 0
+        details = {"path": str(self.path), "reason": self.failure, "traceback": trace}
+        self._on_event("recorder failed", details)
+        self._writer.close()
+
+    def _check_room(self, size: int) -> None:
+        self._room.require(size, reserve=self._min_free)

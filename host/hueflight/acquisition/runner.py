@@ -7,13 +7,12 @@ rig goes away, the thread looks for it until it is back; the gap is marked and t
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
 from hueflight.acquisition.connecting import lose_rig, reconnect, search
-from hueflight.acquisition.ending import end_run, fail_run, finish
+from hueflight.acquisition.ending import end_run, fail_run, finish, give_up
 from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.running import read_stream
@@ -21,6 +20,7 @@ from hueflight.acquisition.session import Session
 from hueflight.acquisition.snapshot import LiveBlock, Snapshot
 from hueflight.acquisition.starting import begin_next
 from hueflight.acquisition.states import State, follow
+from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.rig import Connect
@@ -35,6 +35,11 @@ WORK: dict[State, Callable[[Session], State]] = {
     State.ENDING: end_run,
 }
 """What is done in each state; it returns the state that follows."""
+
+#: seconds that one step may take: a simulated rig draws its photons before its first run, and the
+#: end of a recording waits for the disk
+PATIENCE_S = {State.RUNNING: 5.0, State.IDLE: 330.0}
+LONGER_PATIENCE_S = 60.0
 
 
 class Acquisition:
@@ -54,6 +59,11 @@ class Acquisition:
         Receives every block; must return at once.
     on_event : callable, optional
         Receives the name and the details of what happens.
+
+    Attributes
+    ----------
+    thread : SupervisedThread
+        The acquisition thread, which begins anew after a fault of the program.
     """
 
     def __init__(
@@ -73,8 +83,8 @@ class Acquisition:
             connect, instrument, self.settings, live, on_block, on_event or (lambda _, __: None)
         )
         self._closing = False
-        self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread(self._work, name="acquisition", on_failure=self._give_up)
+        self.thread.start()
 
     # -- from any thread ----------------------------------------------------------------------
 
@@ -129,7 +139,8 @@ class Acquisition:
             Longest time to wait, in seconds.
         """
         self._closing = True
-        self._thread.join(timeout_s)
+        self.thread.end()
+        self.thread.join(timeout_s)
 
     # -- the acquisition thread ---------------------------------------------------------------
 
@@ -138,8 +149,10 @@ class Acquisition:
         scheduled = set_thread_priority(ThreadPriority.ACQUISITION)
         session.on_event("acquisition", {"scheduled": scheduled})
         state = State.SEARCHING
+        session.failed = False
         # a run that has reached its end still ends as one that did
         while not self._closing or state is State.ENDING:
+            self.thread.beat(PATIENCE_S.get(state, LONGER_PATIENCE_S))
             try:
                 following = WORK[state](session)
             except DeviceError as error:
@@ -148,8 +161,17 @@ class Acquisition:
                 following = fail_run(session, str(error))
             state = follow(state, following)
             session.refresh()
+            if session.rig is not None:
+                self.thread.recovered()
         follow(state, State.CLOSED)
         self._close_session()
+
+    def _give_up(self, reason: str, trace: str) -> None:
+        """Called in the acquisition thread after a fault of the program."""
+        give_up(self._session, reason)
+        self._session.on_event("acquisition failed", {"reason": reason, "traceback": trace})
+        if self._closing:
+            self._close_session()
 
     def _close_session(self) -> None:
         session = self._session

@@ -96,6 +96,7 @@ class Session:
         self.last_data_s: float | None = None
         self.kept_alive_s = 0.0
         self.connections = 0
+        self.failed = False
         self.label = int(time.time()) & Capture.VALUE_MAX
         self.snapshot = Snapshot(problem="looking for the camera")
         self._published: tuple[object, ...] = (None, None, None)
@@ -104,6 +105,8 @@ class Session:
     @property
     def resting_state(self) -> State:
         """The state that belongs to a rig that is open or not, and a run that is on or not."""
+        if self.failed:
+            return State.FAILED
         if self.rig is None:
             return State.SEARCHING if self.run is None else State.INTERRUPTED
         return State.IDLE if self.run is None else State.RUNNING
@@ -272,6 +275,7 @@ class Session:
             recorded_bytes=recorder.size if recorder else 0,
             recorder_queue_bytes=recorder.queued_bytes if recorder else 0,
             recording_failure=recorder.failure if recorder else "",
+            recording_paused=recorder.paused if recorder else False,
             stream=rig.camera.statistics if rig is not None else StreamStatistics(),
             gaps=tuple(self.gaps),
             connections=self.connections,

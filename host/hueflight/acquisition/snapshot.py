@@ -43,7 +43,7 @@ class Snapshot:
     Attributes
     ----------
     state : str
-        ``"disconnected"``, ``"idle"`` or ``"running"``.
+        ``"disconnected"``, ``"idle"``, ``"running"``, or ``"failed"`` after a fault of the program.
     problem : str
         What is wrong, in words; empty if nothing is.
     rig : dict of str to str
@@ -73,6 +73,8 @@ class Snapshot:
         What is safe in the recording, and what waits for the disk.
     recording_failure : str
         Why the recording broke off, empty if it did not.
+    recording_paused : bool
+        True while frames are not written, for lack of room or after an error of the disk.
     stream : StreamStatistics
         Totals of the present connection.
     gaps : tuple of Gap
@@ -98,6 +100,7 @@ class Snapshot:
     recorded_bytes: int = 0
     recorder_queue_bytes: int = 0
     recording_failure: str = ""
+    recording_paused: bool = False
     stream: StreamStatistics = field(default_factory=StreamStatistics)
     gaps: tuple[Gap, ...] = ()
     connections: int = 0

@@ -21,6 +21,8 @@ class State(Enum):
     """A run is on and its rig is gone: look for the rig, then go on with the run."""
     ENDING = "ending"
     """A run has reached its end: stop the camera, read the rest, close the recording."""
+    FAILED = "failed"
+    """Something unexpected happened; the run is given up, and the search begins again soon."""
     CLOSED = "closed"
     """The acquisition was closed; nothing follows."""
 
@@ -36,10 +38,11 @@ _SHOWN = {
     State.RUNNING: "running",
     State.INTERRUPTED: "disconnected",
     State.ENDING: "running",
+    State.FAILED: "failed",
     State.CLOSED: "disconnected",
 }
 
-TRANSITIONS: dict[State, frozenset[State]] = {
+_AFTER_WORK: dict[State, frozenset[State]] = {
     State.SEARCHING: frozenset({State.SEARCHING, State.IDLE, State.CLOSED}),
     # beginning a run may lose the rig before the run is on
     State.IDLE: frozenset({State.IDLE, State.RUNNING, State.SEARCHING, State.CLOSED}),
@@ -59,6 +62,10 @@ TRANSITIONS: dict[State, frozenset[State]] = {
     ),
     # the rig may be lost while the rest of the stream is read
     State.ENDING: frozenset({State.IDLE, State.SEARCHING, State.INTERRUPTED, State.CLOSED}),
+}
+TRANSITIONS: dict[State, frozenset[State]] = {
+    **{state: following | {State.FAILED} for state, following in _AFTER_WORK.items()},
+    State.FAILED: frozenset({State.SEARCHING, State.CLOSED}),
     State.CLOSED: frozenset(),
 }
 """States that may follow each state."""

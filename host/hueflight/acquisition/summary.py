@@ -58,7 +58,25 @@ def write_summary(recording: Path, result: RunResult, /) -> dict[str, Any]:
     """
     summary = {"name": recording.stem} | summarise(result)
     try:
-        replace_file(recording.with_suffix(".json"), json.dumps(summary, indent=1) + "\n")
+        write_summary_file(recording, summary)
     except OutputError as error:
         summary["failure"] = summary["failure"] or f"the summary is missing: {error}"
     return summary
+
+
+def write_summary_file(recording: Path, summary: dict[str, Any], /) -> None:
+    """Write a summary as NAME.json beside a recording, whole or not at all.
+
+    Parameters
+    ----------
+    recording : Path
+        Path of the recording.
+    summary : dict
+        Content, for JSON.
+
+    Raises
+    ------
+    OutputError
+        If the disk refuses.
+    """
+    replace_file(recording.with_suffix(".json"), json.dumps(summary, indent=1) + "\n")

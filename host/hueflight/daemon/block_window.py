@@ -34,13 +34,18 @@ class BlockWindow:
             self.frames, self._only = block.block.frames, _lent(block)
             return
         if self._blocks and _sequence(self._blocks[-1]) != _sequence(block):
-            self._sum.clear()
-            while self._blocks:
-                self._blocks.popleft().give_back()
+            self.clear()
         self._blocks.append(block)
         if self._sum.add({_step(block): _histogram(block)}, block.block.frames):
             self._blocks.popleft().give_back()
         self.frames = self._sum.frames
+
+    def clear(self) -> None:
+        """Forget all blocks."""
+        self.frames, self._only = 0, None
+        self._sum.clear()
+        while self._blocks:
+            self._blocks.popleft().give_back()
 
     def histogram(self) -> Counts:
         """Return the sum in an array that later blocks do not change."""

@@ -15,6 +15,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import structlog
+
 from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.thread_priority import ThreadPriority
@@ -24,6 +26,7 @@ from hueflight.devices.illumination import CaptureKind
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 
+log = structlog.get_logger("hueflight.daemon")
 CALIBRATION_NAME = "calibration.zarr"
 _COMMAND = "from hueflight.cli import main; main()"
 _WORK_TIMEOUT_S = 1800
@@ -144,6 +147,10 @@ class CalibrationJob:
             self.state = replace(
                 self.state, step="failed", message=f"the evaluation could not run: {error}"
             )
+        except BaseException as error:
+            message = f"{type(error).__name__}: {error}"
+            log.error("calibration failed", reason=message, exc_info=error)
+            self.state = replace(self.state, step="failed", message=message)
         finally:
             self._busy.release()
 

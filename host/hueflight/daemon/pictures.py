@@ -7,10 +7,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+import structlog
 import xarray as xr
 
 from hueflight import backend
 from hueflight.acquisition.snapshot import LiveBlock
+from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
 from hueflight.daemon.block_window import BlockWindow
@@ -22,7 +24,9 @@ from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.entry_point import METHODS, reconstruct
 
 UNSEEN_S = 1.0  #: from picture to picture while nobody is watching
+PATIENCE_S = 330.0  #: for one picture; the NumPy definition of the joint fit takes minutes
 _WAIT_S = 0.5
+log = structlog.get_logger("hueflight.daemon")
 
 
 def live_method() -> str:
@@ -68,6 +72,8 @@ class Pictures:
         Blocks that were outdated before they were reconstructed.
     problem : str
         Why the latest histogram could not be reconstructed; empty if it could.
+    thread : SupervisedThread
+        Thread that reconstructs, which begins anew after a fault of the program.
     """
 
     def __init__(
@@ -98,8 +104,11 @@ class Pictures:
         self._window = BlockWindow(window_blocks)
         self._changed = threading.Condition()
         self._closing = False
-        self._thread = threading.Thread(target=self._work, name="pictures", daemon=True)
-        self._thread.start()
+        self._change_sigma = change_sigma
+        self.thread = SupervisedThread(
+            self._work, name="pictures", on_failure=self._begin_anew, patience_s=PATIENCE_S
+        )
+        self.thread.start()
 
     def offer(self, block: LiveBlock, /) -> None:
         """Take the next block; never waits for reconstruction."""
@@ -116,12 +125,14 @@ class Pictures:
         with self._changed:
             self._closing = True
             self._changed.notify()
-        self._thread.join(timeout=10)
+        self.thread.end()
+        self.thread.join(10)
 
     def _work(self) -> None:
         # acquisition comes first; threads that help with a picture inherit this
         set_thread_priority(ThreadPriority.RECONSTRUCTION)
         while True:
+            self.thread.beat()
             with self._changed:
                 if not self._waiting and not self._closing:
                     self._changed.wait(_WAIT_S)
@@ -136,6 +147,12 @@ class Pictures:
                 self._window.add(block)
             if self._is_wanted(begun_s):
                 self._make(blocks[-1], self._window.histogram(), self._window.frames, begun_s)
+
+    def _begin_anew(self, reason: str, trace: str) -> None:
+        """After a fault of the program: forget what may have caused it."""
+        log.error("pictures failed", reason=reason, traceback=trace)
+        self._window.clear()
+        self._fitter = IncrementalFitter(change_sigma=self._change_sigma, threads=self._threads)
 
     def _is_wanted(self, now: float) -> bool:
         """Whether somebody is watching, or would find the latest picture too old."""
@@ -159,6 +176,7 @@ class Pictures:
         )
         self.latest = picture
         self._on_picture(picture)
+        self.thread.recovered()
 
     def _reconstruct(self, histogram: Counts, kind: str, frames: int) -> xr.Dataset | None:
         calibration = self.calibration

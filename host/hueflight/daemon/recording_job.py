@@ -34,6 +34,8 @@ class RecordingJob:
         Name of the daemon, which is noted in each recording.
     calibration : callable
         Returns the calibration in use, or None.
+    on_ended : callable
+        Called with the name of each recording that has ended.
 
     Attributes
     ----------
@@ -49,11 +51,13 @@ class RecordingJob:
         *,
         daemon_name: str,
         calibration: Callable[[], Calibration | None],
+        on_ended: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._acquisition = acquisition
         self._folder = folder
         self._daemon_name = daemon_name
         self._calibration = calibration
+        self._on_ended = on_ended
         self._lock = threading.Lock()
         self._name = ""
         self._future: Future[RunResult] | None = None
@@ -157,13 +161,19 @@ class RecordingJob:
 
     def _ended(self, name: str, done: Future[RunResult]) -> None:
         """Called when a recording has ended, for whatever reason."""
-        with self._lock:
-            self._name = ""
         error = None if done.cancelled() else done.exception()
         if error is not None or done.cancelled():
-            reason = str(error or "ended before it began")
-            self.last = {"name": name, "failure": reason}
-            log.error("recording failed", name=name, reason=reason)
-            return
-        self.last = write_summary(self._folder.path(name), done.result())
-        log.info("recording ended", **self.last)
+            self.last = {"name": name, "failure": str(error or "ended before it began")}
+        else:
+            try:
+                self.last = write_summary(self._folder.path(name), done.result())
+            except Exception as error:
+                failure = done.result().failure or f"the summary is missing: {error}"
+                self.last = {"name": name, "failure": failure}
+        with self._lock:
+            self._name = ""
+        if self.last["failure"]:
+            log.error("recording failed", **self.last)
+        else:
+            log.info("recording ended", **self.last)
+        self._on_ended(name)

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import re
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from hueflight.errors import HueflightError
-from hueflight.recording.layout import SUFFIX, segment_files, segment_path
+from hueflight.recording.layout import (
+    PART,
+    SUFFIX,
+    segment_files,
+    segment_path,
+    split_segment_path,
+)
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -123,23 +131,65 @@ class RecordingsFolder:
             )
         return path
 
-    def listing(self) -> list[dict[str, str | int]]:
-        """Return the finished recordings, newest first, each with the size of all its segments."""
-        found = []
-        for path in self.root.glob(f"*{SUFFIX}"):
-            name = path.name[: -len(SUFFIX)]
-            if not NAME.fullmatch(name) or path.is_symlink():
-                continue
-            segments, _ = segment_files(path)
-            status = path.stat()
-            found.append(
-                {
-                    "name": name,
-                    "bytes": sum(segment.stat().st_size for segment in segments),
-                    "segments": len(segments),
-                    "modified": datetime.fromtimestamp(status.st_mtime, UTC).isoformat(
-                        timespec="seconds"
-                    ),
-                }
-            )
-        return sorted(found, key=lambda entry: str(entry["modified"]), reverse=True)
+    def unfinished(self) -> list[str]:
+        """Return the names of recordings with unfinished files, in alphabetical order."""
+        return sorted(name for name, files in self._files().items() if files.unfinished)
+
+    def listing(self) -> list[dict[str, str | int | bool]]:
+        """Return the recordings, newest first, each with the size of all its files.
+
+        The folder is read once, however many recordings it holds.
+
+        Returns
+        -------
+        list of dict
+            Name, bytes, number of segments, time of the latest change, and whether all files are
+            finished.
+        """
+        found = sorted(self._files().items(), key=lambda item: item[1].modified_s, reverse=True)
+        return [
+            {
+                "name": name,
+                "bytes": files.size,
+                "segments": files.finished + files.unfinished,
+                "modified": datetime.fromtimestamp(files.modified_s, UTC).isoformat(
+                    timespec="seconds"
+                ),
+                "finished": not files.unfinished,
+            }
+            for name, files in found
+        ]
+
+    def _files(self) -> dict[str, _Files]:
+        """Files of each recording by its name."""
+        found: dict[str, _Files] = {}
+        with os.scandir(self.root) as entries:
+            for entry in entries:
+                if not entry.name.endswith((SUFFIX, SUFFIX + PART)) or entry.is_symlink():
+                    continue
+                first, _ = split_segment_path(Path(entry.name))
+                name = first.name.removesuffix(SUFFIX)
+                if not NAME.fullmatch(name):
+                    continue
+                try:
+                    status = entry.stat(follow_symlinks=False)
+                except FileNotFoundError:
+                    continue  # it has just been finished or deleted
+                files = found.setdefault(name, _Files())
+                files.size += status.st_size
+                files.modified_s = max(files.modified_s, status.st_mtime)
+                if entry.name.endswith(PART):
+                    files.unfinished += 1
+                else:
+                    files.finished += 1
+        return found
+
+
+@dataclass(slots=True)
+class _Files:
+    """Totals over the files of one recording."""
+
+    size: int = 0
+    modified_s: float = 0.0
+    finished: int = 0
+    unfinished: int = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -12,9 +13,13 @@ import structlog
 from hueflight.acquisition.plan import RunPlan
 from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.runner import Acquisition
+from hueflight.acquisition.snapshot import Snapshot
+from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.calibration import Calibration
 from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.config import DaemonConfig
+from hueflight.daemon.disk_watch import DiskWatch
+from hueflight.daemon.finisher import Finisher
 from hueflight.daemon.latency import LatencyMeter
 from hueflight.daemon.live_color import LiveColor
 from hueflight.daemon.picture import Picture
@@ -64,6 +69,10 @@ class Service:
         Takes and uses calibrations.
     folder : RecordingsFolder
         Folder of the recordings.
+    disk : DiskWatch
+        Knows whether that folder is there and has room.
+    finisher : Finisher
+        Finishes recordings that were cut off.
     live_color : LiveColor
         Colours of live pictures.
     latencies : LatencyMeter
@@ -83,6 +92,9 @@ class Service:
     ) -> None:
         self.config, self.instrument = config, instrument
         self.folder = RecordingsFolder(config.folder / "recordings")
+        self.disk = DiskWatch(self.folder.root)
+        self.finisher = Finisher(self.folder)
+        self._events: Counter[str] = Counter()
         self.rates = RateMeter()
         self.latencies = LatencyMeter()
         self.live_color = LiveColor(instrument)
@@ -116,18 +128,25 @@ class Service:
             settings=self.settings,
             live=LIVE,
             on_block=self.pictures.offer,
-            on_event=lambda name, details: log.info(name, **details),
+            on_event=self._note,
         )
         self.recording_job = RecordingJob(
             self.acquisition,
             self.folder,
             daemon_name=config.name,
             calibration=lambda: self.pictures.calibration,
+            on_ended=self.finisher.finish,
         )
         self.calibration_job = CalibrationJob(
             self.acquisition, config.folder / "calibrations", use=self._use
         )
         self.calibration_job.load_latest(instrument)
+
+    def _note(self, name: str, details: dict[str, Any]) -> None:
+        """Called with each event of acquisition and recording, in their threads."""
+        self._events[name] += 1
+        failed = name.endswith(("failed", "paused"))
+        (log.error if failed else log.info)(name, **details)
 
     def _use(self, calibration: Calibration) -> None:
         calibration.require(self.instrument)
@@ -145,7 +164,7 @@ class Service:
 
     def status(self) -> dict[str, Any]:
         """Return the current status, for the live page, scripts and metrics."""
-        snapshot = self.acquisition.snapshot
+        snapshot, thread = self.acquisition.snapshot, self.acquisition.thread
         now = time.monotonic()
         self.rates.update(
             now,
@@ -157,8 +176,9 @@ class Service:
         return {
             "name": self.config.name,
             "instrument": self.instrument.name,
-            "state": snapshot.state,
-            "problem": snapshot.problem or self.pictures.problem,
+            "state": "failed" if thread.failure or thread.stuck() else snapshot.state,
+            "problem": "; ".join(dict.fromkeys(self._words_about_problems(snapshot))),
+            "parts": self.parts(),
             **run_status(snapshot),
             "rates": self.rates.per_second(),
             "picture": picture_status(self.pictures, now_s=now, stale_after_s=self.stale_after_s),
@@ -170,6 +190,48 @@ class Service:
             "viewers": self.viewers,
             "uptime_s": now - self._started_s,
         }
+
+    def parts(self) -> dict[str, dict[str, Any]]:
+        """Return for each part of the daemon whether it works.
+
+        Returns
+        -------
+        dict of dict
+            State (``"working"``, ``"failed"`` or ``"stuck"``), problem in words and number of
+            failures, by the name of the part.
+        """
+        snapshot = self.acquisition.snapshot
+        interrupted = snapshot.recording_failure if snapshot.recording_paused else ""
+        failures = self._events["recording paused"] + self._events["recorder failed"]
+        return {
+            "acquisition": _part(self.acquisition.thread),
+            "recorder": {
+                "state": "failed" if interrupted else "working",
+                "problem": interrupted,
+                "failures": failures,
+            },
+            "pictures": _part(self.pictures.thread),
+            "disk": _part(self.disk.thread, problem=self.disk.problem),
+            "finisher": _part(self.finisher.thread),
+        }
+
+    def problems(self) -> list[str]:
+        """Return what makes the daemon unhealthy, in words; empty if nothing does."""
+        snapshot = self.acquisition.snapshot
+        found = [part["problem"] for part in self.parts().values()]
+        found.append(snapshot.recording_failure)
+        if snapshot.state in ("disconnected", "failed"):
+            found.append(snapshot.problem)
+        return list(dict.fromkeys(text for text in found if text))
+
+    def _words_about_problems(self, snapshot: Snapshot) -> list[str]:
+        found = [snapshot.problem, self.pictures.problem, *self.problems()]
+        return [text for text in found if text]
+
+    @property
+    def hangs(self) -> bool:
+        """True if acquisition or pictures hang, so that only a new process can help."""
+        return any(part.thread.stuck() for part in (self.acquisition, self.pictures))
 
     @property
     def stale_after_s(self) -> float:
@@ -189,3 +251,13 @@ class Service:
         self.calibration_job.close()
         self.acquisition.close()
         self.pictures.close()
+        self.finisher.close()
+        self.disk.close()
+
+
+def _part(thread: SupervisedThread, /, *, problem: str = "") -> dict[str, Any]:
+    """State of a part that has a thread of its own."""
+    stuck = thread.stuck()
+    problem = stuck or thread.failure or problem
+    state = "stuck" if stuck else "failed" if problem else "working"
+    return {"state": state, "problem": problem, "failures": thread.failures}

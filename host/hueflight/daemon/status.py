@@ -83,6 +83,7 @@ def recording_status(job: RecordingJob, snapshot: Snapshot, /) -> dict[str, Any]
         "bytes": snapshot.recorded_bytes,
         "queue_bytes": snapshot.recorder_queue_bytes,
         "failure": snapshot.recording_failure,
+        "paused": snapshot.recording_paused,
         "last": job.last,
     }
 

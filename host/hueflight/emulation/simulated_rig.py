@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 
@@ -155,6 +156,18 @@ class SimulatedInstrument:
             kind, self.instrument.to_json(), self.scene, self.distance, frames, self.seed
         )  # fmt: skip
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as pool:
+        with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
             drawn: Future[list[bytes]] = pool.submit(simulated_packets, *arguments)
             return drawn.result(_DRAW_TIMEOUT_S)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it is killed; otherwise it would wait for ever."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()

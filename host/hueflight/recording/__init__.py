@@ -16,6 +16,7 @@
 ((192, 128, 512), 10)
 """
 
+from hueflight.recording.finishing import finish_recording
 from hueflight.recording.reader import Recording, RecordingInfo, open_recording
 from hueflight.recording.recovery import Outcome, Recovery, recover
 from hueflight.recording.writer import RecordingWriter
@@ -26,6 +27,7 @@ __all__ = [
     "RecordingInfo",
     "RecordingWriter",
     "Recovery",
+    "finish_recording",
     "open_recording",
     "recover",
 ]

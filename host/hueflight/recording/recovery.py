@@ -119,17 +119,37 @@ class Recovery:
 
 
 @dataclass(slots=True)
-class _Examined:
-    """What is intact in one file."""
+class Examined:
+    """What is intact in one file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    size : int
+        Its bytes.
+    attachments : dict of bytes
+        Intact attachments by name.
+    description : Description or None
+        Identity of the recording; None if it is lost.
+    stream : list of tuple of (int, int)
+        Place and size of what holds packets, in order.
+    damaged_bytes : int
+        Bytes that belong to no intact record.
+    cut : bool
+        True if the file has the name of a finished one, and no end.
+    last : bool
+        True unless something says that there must be a segment behind it.
+    """
 
     path: Path
     size: int = 0
     attachments: dict[str, bytes] = field(default_factory=dict)
     description: Description | None = None
-    stream: list[tuple[int, int]] = field(default_factory=list)  # place and size, in order
+    stream: list[tuple[int, int]] = field(default_factory=list)
     damaged_bytes: int = 0
-    cut: bool = False  # it has the name of a finished file, and no end
-    last: bool = True  # nothing says that there must be a segment behind it
+    cut: bool = False
+    last: bool = True
 
 
 def recover(
@@ -173,8 +193,8 @@ def recover(
     path = Path(path)
     out = path.with_suffix(f".recovered{path.suffix}") if out is None else Path(out)
     files = _files(path)
-    found = [_examine(file) for file in files.values()]
-    described = instrument or _instrument(found)
+    found = [examine(file) for file in files.values()]
+    described = instrument or stated_instrument(found)
     if described is None:
         if any(_has_packets(each) for each in found):
             raise RecordingError(
@@ -198,7 +218,7 @@ def recover(
         kernels=kernels,
     ) as writer:
         for each in found:
-            for piece in _stream(each):
+            for piece in stream(each):
                 writer.write(piece)
     if not writer.report.packets:
         for file in segment_files(out)[0]:
@@ -226,13 +246,13 @@ def check_recording(path: str | Path, /) -> Recovery:
         If there are no files, or they can't be read.
     """
     files = _files(Path(path))
-    return _recovery(Outcome.WHOLE, files, [_examine(file) for file in files.values()])
+    return _recovery(Outcome.WHOLE, files, [examine(file) for file in files.values()])
 
 
 def _recovery(
     outcome: Outcome,
     files: dict[int, Path],
-    found: list[_Examined],
+    found: list[Examined],
     *,
     path: Path | None = None,
     frames: int = 0,
@@ -299,10 +319,26 @@ class _Disk:
             return bytes(stop - start)
 
 
-def _examine(path: Path) -> _Examined:
-    """Go through a file's records, and note the stream and what is damaged."""
+def examine(path: Path, /) -> Examined:
+    """Go through a file's records, and note the stream and what is damaged.
+
+    Parameters
+    ----------
+    path : Path
+        A file of a recording, finished or not.
+
+    Returns
+    -------
+    Examined
+        What is intact in it.
+
+    Raises
+    ------
+    RecordingError
+        If it can't be opened.
+    """
     with _Disk(path) as disk:
-        found = _Examined(path, disk.size)
+        found = Examined(path, disk.size)
         at = len(MAGIC) if disk.read(0, len(MAGIC)) == MAGIC else 0
         found.damaged_bytes += 0 if at else min(len(MAGIC), disk.size)
         ended = False
@@ -329,7 +365,7 @@ def _examine(path: Path) -> _Examined:
         return found
 
 
-def _read_end(found: _Examined, size: int) -> bool:
+def _read_end(found: Examined, size: int) -> bool:
     """Check summary and index, the last `size` bytes; return whether no file must follow."""
     try:
         reader = SegmentReader(found.path)
@@ -340,7 +376,7 @@ def _read_end(found: _Examined, size: int) -> bool:
     return reader.closing.last
 
 
-def _take(found: _Examined, disk: _Disk, opcode: int, start: int, size: int) -> bool:
+def _take(found: Examined, disk: _Disk, opcode: int, start: int, size: int) -> bool:
     """Note what is in a record; return False if it is damaged or not one of ours."""
     record = disk.read(start, size)
     if opcode == Opcode.CHUNK:
@@ -373,16 +409,38 @@ def _plausible(disk: _Disk, at: int) -> bool:
     return opcode in known and at + RECORD_HEAD.size + length <= disk.size
 
 
-def _stream(found: _Examined) -> Iterator[bytes]:
-    """The bytes of the camera's stream in a file, in pieces."""
+def stream(found: Examined, /) -> Iterator[bytes]:
+    """Return the bytes of the camera's stream in a file, in pieces.
+
+    Parameters
+    ----------
+    found : Examined
+        What is intact in the file.
+
+    Yields
+    ------
+    bytes
+        A piece; sectors that can't be read are zeros.
+    """
     with _Disk(found.path) as disk:
         for start, size in found.stream:
             for at in range(start, start + size, PIECE_BYTES):
                 yield disk.read(at, min(PIECE_BYTES, start + size - at))
 
 
-def _instrument(found: list[_Examined]) -> Instrument | None:
-    """The instrument that the first file states for which this is intact."""
+def stated_instrument(found: list[Examined], /) -> Instrument | None:
+    """Return the instrument that the first file states for which this is intact.
+
+    Parameters
+    ----------
+    found : list of Examined
+        What is intact in each file.
+
+    Returns
+    -------
+    Instrument or None
+        None if no file states it any more.
+    """
     for each in found:
         if INSTRUMENT in each.attachments:
             with suppress(InstrumentError):
@@ -390,10 +448,10 @@ def _instrument(found: list[_Examined]) -> Instrument | None:
     return None
 
 
-def _has_packets(found: _Examined) -> bool:
+def _has_packets(found: Examined) -> bool:
     """Whether there is an intact packet of any sensor."""
     buffer = PacketBuffer(Sensor(rows=1, cols=1, code_bits=1, bin_width_ns=1), choose())
-    for piece in _stream(found):
+    for piece in stream(found):
         for _ in pieces(buffer, piece):
             buffer.scan(limit=1)
             buffer.release()

@@ -101,7 +101,8 @@ class Segment:
             self._append([encode(CHANNEL)])
         except OSError:
             self.abandon()
-            part_path(path).unlink(missing_ok=True)
+            with suppress(OSError):
+                part_path(path).unlink(missing_ok=True)
             raise
 
     def append_chunk(

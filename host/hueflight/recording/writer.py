@@ -25,6 +25,7 @@ from hueflight.recording.layout import (
     PART,
     SUFFIX,
     Description,
+    part_path,
     segment_files,
     segment_path,
 )
@@ -190,6 +191,29 @@ class RecordingWriter:
         self._store()
         self._tell()
 
+    def suspend(self, reason: str, /) -> None:
+        """Put all whole packets into the file, finish it, and write nothing more until `resume`.
+
+        Later data counts as lost, as after a failure.
+
+        Parameters
+        ----------
+        reason : str
+            Why nothing may be written, which `error` says from now on.
+
+        Raises
+        ------
+        RecordingError
+            If the packets can't be put into the file.
+        """
+        if self.error is not None or self._closed:
+            return
+        self._store()
+        self._finish_segment(last=True)
+        self._tell()
+        self.error = RecordingError(reason)
+        self._told = True
+
     def resume(self) -> None:
         """Continue in a new segment after a failure, when the disk has space again.
 
@@ -318,7 +342,10 @@ class RecordingWriter:
     def _start_segment(self) -> Segment:
         number = self._segments
         path = segment_path(self.path, number)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if number == 0:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        else:  # left from an attempt that failed
+            part_path(path).unlink(missing_ok=True)
         description = msgspec.structs.replace(self._description, segment=number)
         segment = Segment(
             path, description, self._instrument_json, self._attachments, first=self.frames

@@ -80,3 +80,47 @@ def start_daemon(bus: Any, tmp_path: Path, instrument_file: Path) -> Iterator[Ca
     finally:
         for daemon in started:
             daemon.end(signal.SIGKILL)
+
+
+@pytest.fixture(scope="session")
+def fast_instrument(instrument_file: Path) -> Path:
+    """The small instrument at 4000 frames per second, which fills a small disk in seconds."""
+    path = instrument_file.with_name("fast.toml")
+    text = instrument_file.read_text()
+    path.write_text(
+        text.replace("frame_rate_hz = 480", "frame_rate_hz = 4000").replace(
+            "exposure_ms = 1.0", "exposure_ms = 0.2"
+        )
+    )
+    return path
+
+
+@pytest.fixture
+def start_simulated(tmp_path: Path, fast_instrument: Path) -> Iterator[Callable[..., Daemon]]:
+    """Function that starts a daemon on a simulated camera; options override its configuration."""
+    started: list[Daemon] = []
+
+    def start(
+        data: Path,
+        *,
+        environment: dict[str, str] | None = None,
+        faults: Path | None = None,
+        options: str = "",
+        server: str = "",
+        recording: str = "min_free_mb = 1",
+    ) -> Daemon:
+        config = tmp_path / "simulated.toml"
+        config.write_text(
+            f'name = "test bench"\ninstrument = "{fast_instrument}"\ndata = "{data}"\n'
+            f'rig = "simulated:fig1?frames=64"\n{options}\n'
+            f"[server]\nport = 0\nrequests_per_s = 200\nburst = 400\n{server}\n"
+            f"[recording]\n{recording}\n"
+        )
+        started.append(Daemon(config, environment or {}, faults=faults))
+        return started[-1]
+
+    try:
+        yield start
+    finally:
+        for daemon in started:
+            daemon.end(signal.SIGKILL)

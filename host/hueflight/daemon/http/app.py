@@ -30,6 +30,7 @@ from hueflight.daemon.picture import Picture
 from hueflight.daemon.pixel import PixelError
 from hueflight.daemon.recordings_folder import RecordingMissingError, RecordingNameError
 from hueflight.daemon.service import Service
+from hueflight.daemon.systemd import notify, watchdog_interval_s
 from hueflight.devices.rig import Connect
 from hueflight.errors import HueflightError
 from hueflight.live.protocol import Coding
@@ -90,8 +91,12 @@ def make_app(
         state["service"] = service
         state["hub"] = Hub(service, config.server.max_viewers)
         state["registry"] = make_registry(service)
+        watchdog = asyncio.create_task(_keep_watchdog(service))
+        notify("READY=1")
         yield
         log.info("shutting down")
+        notify("STOPPING=1")
+        watchdog.cancel()
         await run_in_threadpool(service.close)
         log.info("ended", **service.status()["totals"])
 
@@ -103,17 +108,14 @@ def make_app(
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     async def health(_: Request) -> Response:
-        status = state["service"].status()
-        bad = [
-            text
-            for text in (
-                status["problem"] if status["state"] == "disconnected" else "",
-                status["recording"]["failure"],
-            )
-            if text
-        ]
+        problems = state["service"].problems()
         return _json(
-            {"healthy": not bad, "state": status["state"], "problems": bad}, 503 if bad else 200
+            {
+                "healthy": not problems,
+                "state": state["service"].status()["state"],
+                "problems": problems,
+            },
+            503 if problems else 200,
         )
 
     async def download(request: Request) -> Response:
@@ -144,6 +146,16 @@ def make_app(
         exception_handlers={HTTPException: _http_error, Exception: _internal_error},
     )
     return AccessControl(app, config.server, port=port, token=token)
+
+
+async def _keep_watchdog(service: Service) -> None:
+    """Tell systemd that the daemon is well, as long as it is."""
+    interval_s = watchdog_interval_s()
+    while interval_s is not None:
+        if not service.hangs:
+            problems = "; ".join(service.problems()).replace("\n", " ")
+            notify(f"WATCHDOG=1\nSTATUS={problems or 'well'}")
+        await asyncio.sleep(interval_s)
 
 
 def _route(operation: Operation, state: dict[str, Any]) -> Route:

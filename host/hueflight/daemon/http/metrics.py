@@ -74,14 +74,29 @@ def _counters(status: dict[str, Any]) -> Iterator[Metric]:
     for place, frames in status["lost"].items():
         lost.add_metric([place], frames)
     yield lost
+    failures = CounterMetricFamily(
+        "hueflight_part_failures",
+        "Failures of a part of the daemon, after each of which it begins anew",
+        labels=["part"],
+    )
+    for name, part in status["parts"].items():
+        failures.add_metric([name], part["failures"])
+    yield failures
 
 
 def _gauges(status: dict[str, Any]) -> Iterator[Metric]:
+    working = GaugeMetricFamily(
+        "hueflight_part_working", "1 while a part of the daemon works", labels=["part"]
+    )
+    for name, part in status["parts"].items():
+        working.add_metric([name], float(part["state"] == "working"))
+    yield working
     age = status["picture"]["age_s"]
     latency = status["latency_s"] or {}
+    connected = status["state"] in ("idle", "running")
     for name, text, value in (
         ("running", "1 during a run", status["state"] == "running"),
-        ("camera_connected", "1 while the camera is connected", status["state"] != "disconnected"),
+        ("camera_connected", "1 while the camera is connected", connected),
         ("simulated", "1 if the photons are simulated", status["simulated"]),
         ("recording", "1 during a recording", bool(status["recording"]["name"])),
         (

@@ -14,6 +14,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
 from hueflight.daemon.http.app import make_app
+from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.devices.rig import Connect
 from hueflight.model.instrument import Instrument
 
@@ -139,9 +140,15 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
     Raises
     ------
     ConfigError
-        If the address is not available, or a token is required and missing.
+        If the address or the data folder can't be used, or a token is required and missing.
     """
     token = config.server.token()
+    try:
+        RecordingsFolder(config.folder / "recordings")
+    except OSError as error:
+        raise ConfigError(
+            f"data = {config.data!r}: can't use the folder: {error.strerror or error}"
+        ) from None
     sock = open_socket(config)
     host, port = sock.getsockname()[:2]
     shown = f"[{host}]" if ":" in host else host

@@ -56,8 +56,8 @@ export function showState(status, connected) {
   const pill = $("state");
   const text = !connected ? "daemon not reachable"
     : status.state === "running" ? (status.kind === "live" ? "live" : `capture: ${status.kind}`)
-    : status.state === "idle" ? "stopped" : "no camera";
-  const kind = !connected || status.state === "disconnected" ? "away" : status.state === "running" ? "live" : "idle";
+    : status.state === "idle" ? "stopped" : status.state === "failed" ? "failed" : "no camera";
+  const kind = !connected || ["disconnected", "failed"].includes(status.state) ? "away" : status.state === "running" ? "live" : "idle";
   if (pill.textContent !== text) pill.textContent = text;
   pill.className = `pill ${kind}`;
   $("simulated").hidden = !status.simulated;

@@ -21,7 +21,8 @@ function onStatus(status) {
   showState(status, state.connected);
   showFacts(status);
   showButtons();
-  document.title = `${status.name} – ${$("state").textContent}`;
+  const mark = status.problem ? "⚠ " : status.recording.name ? "● " : "";
+  document.title = `${mark}${status.name} – ${$("state").textContent}`;
   $("name").textContent = status.name;
 }
 

@@ -100,11 +100,12 @@ function hint() {
 function showAge() {
   const age = state.arrivedMs === null ? Infinity : (performance.now() - state.arrivedMs) / 1e3;
   const { status, connected } = state;
-  const old = !connected || (status !== null && (age > status.picture.stale_after_s || status.state === "disconnected"));
+  const old = !connected || (status !== null && (age > status.picture.stale_after_s || ["disconnected", "failed"].includes(status.state)));
   $("view").classList.toggle("old", old && state.picture !== null);
   const reason = !connected ? "The daemon is not reachable."
     : !status || status.state === "idle" ? "Stopped."
     : status.state === "disconnected" ? "No camera."
+    : status.state === "failed" ? "Acquisition has failed; it begins anew soon."
     : state.picture ? "No new picture." : "Waiting for the first picture.";
   const duration = age < 100 ? `${age.toFixed(0)} s` : `${Math.round(age / 60)} min`;
   const since = Number.isFinite(age) ? `\nThis picture is ${duration} old.` : "";

@@ -1,0 +1,51 @@
+"""A disk that fails on demand, under a process of its own: the Python side of ``disk_shim.c``."""
+
+from __future__ import annotations
+
+import errno
+import mmap
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+SOURCE = Path(__file__).with_name("disk_shim.c")
+NAMES = ("write", "create", "sync", "rename", "room", "share")
+
+
+class DiskFaults:
+    """Faults of the files below a folder.
+
+    Parameters
+    ----------
+    build : Path
+        Folder for the compiled library and the control file.
+    folder : Path
+        Folder whose files fail.
+    """
+
+    def __init__(self, build: Path, folder: Path) -> None:
+        compiler = shutil.which("cc") or shutil.which("gcc")
+        assert compiler is not None, "a C compiler is needed"
+        build.mkdir(parents=True, exist_ok=True)
+        library, control = build / "disk_shim.so", build / "control"
+        subprocess.run(
+            [compiler, "-shared", "-fPIC", "-O1", "-o", library, SOURCE, "-ldl"], check=True
+        )
+        control.write_bytes(bytes(4 * len(NAMES)))
+        with control.open("r+b") as file:
+            self._control = mmap.mmap(file.fileno(), 0)
+        self.environment = {
+            "LD_PRELOAD": str(library),
+            "FAULT_FOLDER": str(folder),
+            "FAULT_CONTROL": str(control),
+        }
+
+    def fail(self, *names: str, error: int = errno.EIO, share: float = 0.0) -> None:
+        """Have these calls fail, all of them or a share, and no others."""
+        numbers = [error if name in names else 0 for name in NAMES[:-1]]
+        self._control[:] = struct.pack(f"{len(NAMES)}i", *numbers, round(1000 * share))
+
+    def heal(self) -> None:
+        """Have no call fail."""
+        self.fail()

@@ -24,6 +24,14 @@ class _Section(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     """A strict, immutable table."""
 
 
+def _require_ranges(section: _Section, prefix: str, /, **ranges: tuple[float, float]) -> None:
+    """Refuse numbers outside their ranges; a number that is not finite is outside of any."""
+    for name, (low, high) in ranges.items():
+        value = getattr(section, name)
+        if not low <= value <= high:
+            raise ConfigError(f"{prefix}{name} = {value}: must be from {low:g} to {high:.10g}")
+
+
 class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Address of the daemon, and limits on its clients.
 
@@ -39,6 +47,8 @@ class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         Further names by which browsers may address the daemon, besides loopback and `host`.
     max_connections : int
         Most open connections of all clients together.
+    max_connections_per_address : int
+        Most open connections of one client address.
     max_viewers : int
         Most viewers of the live picture at the same time.
     requests_per_s : float
@@ -54,21 +64,24 @@ class ServerConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     token_file: str = ""
     allowed_hosts: tuple[str, ...] = ()
     max_connections: int = 64
+    max_connections_per_address: int = 48
     max_viewers: int = 8
     requests_per_s: float = 50.0
     burst: int = 100
     max_body_bytes: int = 1 << 16
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65535:
-            raise ConfigError(f"server.port = {self.port}: must be from 0 to 65535")
-        for name in ("max_connections", "max_viewers", "requests_per_s", "burst"):
-            if getattr(self, name) < 1:
-                raise ConfigError(f"server.{name} = {getattr(self, name)}: must be at least 1")
-        if not 1 << 10 <= self.max_body_bytes <= 1 << 24:
-            raise ConfigError(
-                f"server.max_body_bytes = {self.max_body_bytes}: must be from 1 KiB to 16 MiB"
-            )
+        _require_ranges(
+            self,
+            "server.",
+            port=(0, 65535),
+            max_connections=(4, 4096),
+            max_connections_per_address=(1, 4096),
+            max_viewers=(1, 256),
+            requests_per_s=(1, 1e6),
+            burst=(1, 1_000_000),
+            max_body_bytes=(1 << 10, 1 << 24),
+        )
 
     @property
     def beyond_loopback(self) -> bool:
@@ -125,6 +138,9 @@ class RecordingConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only
 
     queue_mb: int = 128
     min_free_mb: int = 256
+
+    def __post_init__(self) -> None:
+        _require_ranges(self, "recording.", queue_mb=(1, 65536), min_free_mb=(1, 1 << 30))
 
 
 class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -191,14 +207,15 @@ class DaemonConfig(_Section, frozen=True, forbid_unknown_fields=True, kw_only=Tr
             raise ConfigError(
                 f"name = {self.name!r}: must be up to 64 letters, digits, spaces and '._-'"
             )
-        if not 0 <= self.pictures_hz <= 1000:
-            raise ConfigError(f"pictures_hz = {self.pictures_hz}: must be from 0 to 1000")
-        if not 0 <= self.change_sigma <= 100:
-            raise ConfigError(f"change_sigma = {self.change_sigma}: must be from 0 to 100")
-        if self.picture_frames < 0 or self.picture_threads < 0 or self.threads < 1:
-            raise ConfigError(
-                "picture_frames and picture_threads must be 0 or more, threads 1 or more"
-            )
+        _require_ranges(
+            self,
+            "",
+            pictures_hz=(0, 1000),
+            picture_frames=(0, 10_000_000),
+            change_sigma=(0, 100),
+            threads=(1, 256),
+            picture_threads=(0, 256),
+        )
 
     @property
     def folder(self) -> Path:

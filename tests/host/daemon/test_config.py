@@ -28,6 +28,12 @@ def test_defaults_and_files(tmp_path: Path) -> None:
         ("[server]\nmax_viewers = 0", "server.max_viewers = 0"),
         ("name = ", "not TOML"),
         ("pictures_hz = -1.0", "pictures_hz = -1.0"),
+        ("pictures_hz = nan", "pictures_hz = nan"),
+        ("picture_frames = 20000000", "picture_frames = 20000000: must be from 0 to 10000000"),
+        ("threads = 0", "threads = 0: must be from 1"),
+        ("[server]\nmax_connections = 1", "server.max_connections = 1: must be from 4"),
+        ("[recording]\nqueue_mb = 0", "recording.queue_mb = 0: must be from 1"),
+        ("[recording]\nmin_free_mb = -1", "recording.min_free_mb = -1: must be from 1"),
     ],
 )
 def test_errors_name_the_key(tmp_path: Path, text: str, words: str) -> None:
@@ -35,6 +41,26 @@ def test_errors_name_the_key(tmp_path: Path, text: str, words: str) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError, match=words):
         DaemonConfig.load(path)
+
+
+def test_every_number_has_a_range(tmp_path: Path) -> None:
+    """Neither of two absurd values of any number is taken."""
+    from hueflight.daemon.config import RecordingConfig
+
+    for section, prefix in (
+        (DaemonConfig(), ""),
+        (ServerConfig(), "[server]\n"),
+        (RecordingConfig(), "[recording]\n"),
+    ):
+        for name in section.__struct_fields__:
+            default = getattr(section, name)
+            if isinstance(default, bool) or not isinstance(default, int | float):
+                continue
+            for absurd in (-(1 << 60), 1 << 60):
+                path = tmp_path / "daemon.toml"
+                path.write_text(f"{prefix}{name} = {absurd}")
+                with pytest.raises(ConfigError, match=rf"{name} = -?[0-9.e+]+: must be from"):
+                    DaemonConfig.load(path)
 
 
 def test_beyond_loopback_a_token_is_needed(tmp_path: Path) -> None:

@@ -289,3 +289,42 @@ def test_systemd_hears_of_a_daemon_that_hangs(start_simulated: Start, tmp_path: 
         daemon.end(signal.SIGTERM)
         while not manager.recv(4096).startswith(b"STOPPING=1"):
             continue
+
+
+def test_two_thousand_idle_connections(start_simulated: Start, tmp_path: Path) -> None:
+    """They keep nobody out, take no file from the recording, and cost no frame."""
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if limits[1] < 4096:
+        pytest.skip("this user may not mount disks or open so many files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (512, limits[1]))  # the daemon inherits it
+    try:
+        daemon = start_simulated(tmp_path / "data")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (limits[1], limits[1]))
+    begin_recording(daemon, "flooded")
+    host, port = daemon.url.removeprefix("http://").split(":")
+    idle: list[socket.socket] = []
+    try:
+        for number in range(2000):
+            sock = socket.socket()
+            sock.settimeout(10.0)
+            sock.connect((host, int(port)))
+            if number % 2:
+                sock.sendall(b"GET /health HTTP/1.1\r\n")
+            idle.append(sock)
+            if number % 500 == 250:
+                assert daemon.health()[0] == 200
+        open_files = len(list(Path(f"/proc/{daemon.process.pid}/fd").iterdir()))
+        assert open_files < 300
+        before = daemon.status()["recording"]["frames"]
+        until(lambda: daemon.status()["recording"]["frames"] > before + 2000, "it goes on")
+        last = end_recording(daemon)
+    finally:
+        for sock in idle:
+            sock.close()
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert last["failure"] == ""
+    assert last["lost"]["disk"] == 0
+    assert frames_in(tmp_path / "data/recordings/flooded.mcap") == last["delivered"]

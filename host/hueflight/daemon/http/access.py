@@ -15,6 +15,7 @@ from collections.abc import MutableMapping
 from typing import Any
 from urllib.parse import urlsplit
 
+import structlog
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from hueflight.daemon.config import LOOPBACK, ServerConfig
@@ -23,6 +24,8 @@ from hueflight.live.protocol import TOKEN_PROTOCOL
 #: paths that need the token; the page, which holds no secret, and /health need none
 GUARDED = ("/api/", "/metrics", "/openapi.json")
 _CLIENTS_KEPT = 1024
+LOG_S = 1.0  #: from one log entry about refused requests to the next
+log = structlog.get_logger("hueflight.daemon")
 _HEADERS = [
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
@@ -76,6 +79,8 @@ class AccessControl:
         self._hosts = {name.lower() for name in names}
         self._port = port
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self.refused = 0
+        self._logged_s = float("-inf")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or answer why it is refused."""
@@ -87,6 +92,7 @@ class AccessControl:
             self._check(scope, headers)
             limited = _Body(receive, self._config.max_body_bytes, headers)
         except RequestRefused as refused:
+            self._log(scope, refused)
             await _refuse(scope, receive, send, refused)
             return
         await self._app(
@@ -94,7 +100,16 @@ class AccessControl:
         )
 
     def _check(self, scope: Scope, headers: MutableMapping[str, str]) -> None:
-        self._check_rate((scope.get("client") or ("unknown", 0))[0])
+        client = (scope.get("client") or ("unknown", 0))[0]
+        try:
+            self._check_sender(scope, headers)
+        except RequestRefused:
+            # a page of another site in the user's own browser must not use up the user's requests
+            self._check_rate(f"{client} refused")
+            raise
+        self._check_rate(client)
+
+    def _check_sender(self, scope: Scope, headers: MutableMapping[str, str]) -> None:
         host = headers.get("host", "")
         if not self._is_served(host):
             raise RequestRefused(
@@ -128,6 +143,22 @@ class AccessControl:
             raise RequestRefused(
                 401, "a token is required: send the header 'Authorization: Bearer TOKEN'"
             )
+
+    def _log(self, scope: Scope, refused: RequestRefused) -> None:
+        """Log a refused request; at most one each second, with the number of those before it."""
+        self.refused += 1
+        now = time.monotonic()
+        if now - self._logged_s < LOG_S:
+            return
+        log.warning(
+            "request refused",
+            client=(scope.get("client") or ("unknown", 0))[0],
+            path=scope["path"][:200],
+            status=refused.status,
+            reason=str(refused),
+            refused_in_all=self.refused,
+        )
+        self._logged_s = now
 
     def _check_rate(self, client: str) -> None:
         """Limit requests of each address with a token bucket."""

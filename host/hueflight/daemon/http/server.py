@@ -14,6 +14,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
 from hueflight.daemon.http.app import make_app
+from hueflight.daemon.http.connections import Connections, refusal
 from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.devices.rig import Connect
 from hueflight.model.instrument import Instrument
@@ -25,14 +26,31 @@ IDLE_S = 5  #: idle connections are closed after this time
 HEADER_BYTES = 1 << 14
 VIEWER_MESSAGE_BYTES = 1 << 12
 END_S = 5
+BACKLOG = 64  #: connections that may wait for the server; they are taken in one go
+OWN_FILES = 192  #: open files of camera, recordings, calibrations and logs
 
 
-class _TimedRequests(H11Protocol):
-    """HTTP/1.1 with a time limit for the arrival of each request, body included."""
+class _LimitedRequests(H11Protocol):
+    """HTTP/1.1 with limits on open connections and on the time in which a request arrives."""
+
+    open_connections: Connections
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
         self._expect_request()
+        address = (transport.get_extra_info("peername") or ("unknown",))[0]
+        if not self.open_connections.admit(self, address):
+            transport.write(refusal("too many connections are open: try again later"))
+            transport.close()
+
+    @property
+    def waits(self) -> bool:
+        """True if no request is in progress."""
+        return self.cycle is None or self.cycle.response_complete
+
+    def hang_up(self) -> None:
+        """Close the connection at once."""
+        self.transport.abort()
 
     def _expect_request(self) -> None:
         self._deadline = self.loop.call_later(REQUEST_S, self._hang_up)
@@ -48,11 +66,13 @@ class _TimedRequests(H11Protocol):
         super().on_response_complete()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        self._deadline.cancel()  # web sockets have no such limit
+        self._deadline.cancel()  # web sockets have limits of their own
+        self.open_connections.remove(self)
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._deadline.cancel()
+        self.open_connections.remove(self)
         super().connection_lost(exc)
 
 
@@ -77,7 +97,7 @@ def open_socket(config: DaemonConfig) -> socket.socket:
     server = config.server
     family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
     try:
-        sock = socket.create_server((server.host, server.port), family=family, backlog=128)
+        sock = socket.create_server((server.host, server.port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise ConfigError(
             f"can't listen on {server.host} port {server.port}: {error.strerror}: is another "
@@ -86,6 +106,35 @@ def open_socket(config: DaemonConfig) -> socket.socket:
     if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux; connections inherit it
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNREAD_S))
     return sock
+
+
+def raise_file_limit(config: ServerConfig, /) -> None:
+    """Raise the soft limit on open files, so that clients never use up those of recordings.
+
+    Parameters
+    ----------
+    config : ServerConfig
+        Limits on connections.
+
+    Raises
+    ------
+    ConfigError
+        If the hard limit is too low for the connections that are allowed.
+    """
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = config.max_connections + config.max_viewers + 2 * BACKLOG + OWN_FILES
+    unlimited = resource.RLIM_INFINITY
+    if hard != unlimited and hard < wanted:
+        raise ConfigError(
+            f"server.max_connections = {config.max_connections}: needs {wanted} open files, the "
+            f"system allows {hard}: lower it, or raise the limit (LimitNOFILE)"
+        )
+    if soft != unlimited and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def web_server(app: Any, config: ServerConfig, /) -> uvicorn.Server:
@@ -103,17 +152,20 @@ def web_server(app: Any, config: ServerConfig, /) -> uvicorn.Server:
     uvicorn.Server
         The server, not started.
     """
+
+    class Requests(_LimitedRequests):
+        open_connections = Connections(config.max_connections, config.max_connections_per_address)
+
     return uvicorn.Server(
         uvicorn.Config(
             app,
-            http=_TimedRequests,
+            http=Requests,
             ws="websockets-sansio",
             # pictures hardly shrink, and compression takes most of a core
             ws_per_message_deflate=False,
             ws_max_size=VIEWER_MESSAGE_BYTES,
             ws_ping_interval=20.0,
             ws_ping_timeout=20.0,
-            limit_concurrency=config.max_connections,
             timeout_keep_alive=IDLE_S,
             timeout_graceful_shutdown=END_S,
             h11_max_incomplete_event_size=HEADER_BYTES,
@@ -143,6 +195,7 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
         If the address or the data folder can't be used, or a token is required and missing.
     """
     token = config.server.token()
+    raise_file_limit(config.server)
     try:
         RecordingsFolder(config.folder / "recordings")
     except OSError as error:

@@ -269,3 +269,12 @@ def test_a_recording_ends_when_enough_is_known(
     assert last["failure"] == ""
     assert last["share_known"] >= 0.5
     assert last["recorded_frames"] > 0
+
+
+def test_pages_of_other_sites_do_not_spend_the_budget_of_the_user(open_daemon: OpenDaemon) -> None:
+    with open_daemon(requests_per_s=1, burst=10) as client:
+        foreign = {"origin": "http://evil.example"}
+        answers = [client.get("/api/status", headers=foreign).status_code for _ in range(30)]
+        assert answers[0] == 403
+        assert answers.count(429) >= 15
+        assert client.get("/api/status").status_code == 200

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import socket
 import threading
 import time
@@ -164,3 +165,42 @@ def test_a_viewer_that_says_too_much_is_refused(port: int) -> None:
         viewer.send("x" * (server.VIEWER_MESSAGE_BYTES + 1))
         with pytest.raises(ConnectionClosed, match="1009"):
             viewer.recv(WAIT_S)
+
+
+def test_idle_connections_make_way(port: int) -> None:
+    """However many there are; one with a request in progress stays."""
+    with opened(port) as busy:
+        busy.sendall((HEAD.format("GET /long") + "\r\n").encode())
+        assert busy.recv(100).startswith(b"HTTP/1.1 200")
+        idle = [opened(port) for _ in range(100)]
+        try:
+            with opened(port) as sock:
+                whole = HEAD.format("POST /echo") + "Content-Length: 4\r\n\r\n"
+                sock.sendall(whole.encode() + b"here")
+                assert answer(sock, b"here").startswith(b"HTTP/1.1 200")
+        finally:
+            for sock in idle:
+                sock.close()
+        assert answer(busy, b"0\r\n\r\n").count(b"part ") >= 5
+
+
+def test_who_finds_no_room_is_told_in_json() -> None:
+    from hueflight.daemon.http.connections import Connections, refusal
+
+    class Busy:
+        waits = False
+
+        def hang_up(self) -> None:
+            raise AssertionError("it has a request in progress")
+
+    connections = Connections(3, 2)
+    assert connections.admit(Busy(), "a")
+    assert connections.admit(Busy(), "a")
+    assert not connections.admit(Busy(), "a")
+    assert connections.admit(Busy(), "b")
+    assert not connections.admit(Busy(), "c")
+    assert (len(connections), connections.refused) == (3, 2)
+    head, _, body = refusal("no room").partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 503 ")
+    assert f"content-length: {len(body)}".encode() in head
+    assert json.loads(body) == {"error": "no room"}

@@ -3,6 +3,7 @@
 from hueflight.export.description import describe
 from hueflight.export.envi import write_envi
 from hueflight.export.formats import FORMATS, Format, write
+from hueflight.export.foxglove import write_foxglove
 from hueflight.export.histograms import write_histogram
 from hueflight.export.las import write_las
 from hueflight.export.ome import write_ome_tiff
@@ -23,6 +24,7 @@ __all__ = [
     "write",
     "write_csv",
     "write_envi",
+    "write_foxglove",
     "write_histogram",
     "write_las",
     "write_netcdf",

@@ -20,6 +20,7 @@ import xarray as xr
 
 from hueflight.errors import ExportError
 from hueflight.export.envi import write_envi
+from hueflight.export.foxglove import write_foxglove
 from hueflight.export.las import write_las
 from hueflight.export.ome import write_ome_tiff
 from hueflight.export.ply import write_ply
@@ -68,6 +69,7 @@ FORMATS = {
         Format("envi", (".hdr",), write_envi, False, "imaging spectroscopy"),
         Format("ply", (".ply",), write_ply, False, "point cloud for 3-D software"),
         Format("las", (".las",), write_las, False, "point cloud for lidar software"),
+        Format("foxglove", (".mcap",), write_foxglove, True, "Foxglove and robotics software"),
         Format("png", (".png",), write_png, False, "one plane with its colour bar"),
         Format("previews", (".previews",), write_previews, False, "a folder of all pictures"),
         Format("csv", (".csv",), write_csv, True, "spectra of regions"),
@@ -144,7 +146,7 @@ def write(
         Whether existing files of these names may be replaced.
     **options : Any
         Options of the format: `regions` (csv), `variable`, `band`, `limits` (png), `bad_bands`
-        (envi), `instrument` (ply, las).
+        (envi), `instrument` (ply, las, foxglove), `interval_s` (foxglove).
 
     Returns
     -------

@@ -23,6 +23,7 @@ COMMANDS = {
     "recover": "Save what is left of a damaged or unfinished recording.",
     "serve": "Run the capture daemon: live page, HTTP interface and recordings.",
     "simulate": "Record a simulated capture.",
+    "view": "Show an image, a recording or counts in the browser, as one HTML file.",
 }
 
 HELP = """Multispectral time-of-flight imaging: depth and colour from the same photons.

@@ -13,6 +13,23 @@ from hueflight.files.image_schema import require_image
 ENDINGS = (".zarr", ".nc", ".nc4")
 
 
+def is_image(path: Path, /) -> bool:
+    """Tell whether a file is an image, and no counts or calibration, without reading its arrays.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+
+    Returns
+    -------
+    bool
+        True for NetCDF files, and for Zarr stores with a depth.
+    """
+    ending = path.suffix.lower()
+    return ending in ENDINGS and (ending != ".zarr" or (path / "depth").is_dir())
+
+
 def read_image(path: str | Path, /) -> xr.Dataset:
     """Read an image or series that `hueflight.export` wrote as Zarr or NetCDF.
 

@@ -75,6 +75,12 @@ export function drawHistogram(canvas, pixel, bands) {
     const value = Math.min(height, top);
     c.fillRect(left, y(value), Math.max(1, x(edges[i + 1]) - left), bottom - y(value));
   });
+  if (!pixel?.model) return; // fitted counts per code, in the viewer of files
+  c.strokeStyle = colour("--bad");
+  c.lineWidth = 1.5;
+  c.beginPath();
+  pixel.model.forEach((count, i) => c.lineTo(x((edges[i] + edges[i + 1]) / 2), y((count * usual) / widths[i])));
+  c.stroke();
 }
 
 export function drawSpectrum(canvas, pixel, bands) {

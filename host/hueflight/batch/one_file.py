@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
+from hueflight.errors import HueflightError
 from hueflight.export.description import describe
 from hueflight.export.formats import FORMATS
 from hueflight.export.stores import write_netcdf, write_zarr
@@ -18,8 +21,12 @@ from hueflight.files import import_optional, refuse_existing, staged
 from hueflight.importers.captures import read_capture
 from hueflight.importers.options import ReadOptions
 from hueflight.progress import Progress, Silent, task
+from hueflight.reconstruction.departures import correct_drift, with_floor
 from hueflight.reconstruction.entry_point import reconstruct
+from hueflight.reconstruction.image_check import ImageCheck, check_image
 from hueflight.reconstruction.quality import Quality
+
+Departures = Literal["ignore", "check", "correct"]
 
 
 @dataclass(frozen=True)
@@ -36,12 +43,15 @@ class FileResult:
         Number of packets or frames that the capture lacks, by reason; empty if it is complete.
     preview : Path or None
         Picture that was written beside it, if any.
+    check : ImageCheck or None
+        Check of the whole picture, before any correction, if it was asked for.
     """
 
     image: xr.Dataset
     store: Path
     losses: Mapping[str, int]
     preview: Path | None = None
+    check: ImageCheck | None = None
 
     def summary(self) -> dict[str, Any]:
         """Summarise image and losses in plain values.
@@ -49,13 +59,19 @@ class FileResult:
         Returns
         -------
         dict
-            As `summarize` gives, with ``lost_…`` for each kind of loss, and ``preview`` if a
-            picture was written.
+            As `summarize` gives, with ``lost_…`` for each kind of loss, ``preview`` if a picture
+            was written, and ``departures`` with one ``departure_…`` for each that a check found.
         """
         summary = summarize(self.image)
         summary |= {f"lost_{reason}": count for reason, count in self.losses.items()}
         if self.preview is not None:
             summary["preview"] = str(self.preview)
+        if self.check is not None:
+            summary["departures"] = len(self.check.found)
+            for suspect in self.check.found:
+                summary[f"departure_{suspect.name.replace(' ', '_')}"] = suspect.describe()
+            if "drift_corrected" in self.image.attrs:
+                summary["drift_corrected"] = self.image.attrs["drift_corrected"]
         return summary
 
 
@@ -67,6 +83,7 @@ def reconstruct_file(
     calibration: Calibration | str | Path,
     options: Mapping[str, Any] | None = None,
     reading: ReadOptions | None = None,
+    departures: Departures = "ignore",
     preview: bool = False,
     overwrite: bool = False,
     attributes: Mapping[str, str] | None = None,
@@ -87,6 +104,11 @@ def reconstruct_file(
         Keywords of `reconstruct`, such as ``{"method": "pooled"}``.
     reading : ReadOptions, optional
         What to take from a file of counts.
+    departures : {"ignore", "check", "correct"}
+        Whether to check the whole picture for departures from its calibration. ``"check"`` states
+        them in the image and widens its deviations by what tails and flare are predicted to leave;
+        ``"correct"`` also reconstructs the image once more, with delays and widths of the LEDs and
+        the shape of the background corrected.
     preview : bool, default False
         Whether to write a picture ``NAME.png`` beside the store.
     overwrite : bool, default False
@@ -129,6 +151,11 @@ def reconstruct_file(
         shown.advance()
     with task(shown, "reconstructing", 1):
         image = reconstruct(taken.counts, calibration, **(options or {}))
+        check = None
+        if departures != "ignore":
+            image, calibration, check = _checked(
+                image, taken.counts, calibration, options or {}, correct=departures == "correct"
+            )
         shown.advance()
     lost = ", ".join(f"{reason} {count}" for reason, count in taken.losses.items())
     image = describe(
@@ -141,7 +168,38 @@ def reconstruct_file(
     (write_netcdf if netcdf else write_zarr)(image, out, overwrite=overwrite)
     if picture is not None:
         _write_picture(image, calibration, picture, overwrite=overwrite)
-    return FileResult(image, out, taken.losses, picture)
+    return FileResult(image, out, taken.losses, picture, check)
+
+
+def _checked(
+    image: xr.Dataset,
+    counts: NDArray[np.generic],
+    calibration: Calibration,
+    options: Mapping[str, Any],
+    *,
+    correct: bool,
+) -> tuple[xr.Dataset, Calibration, ImageCheck]:
+    """Image that states its departures, corrected if that is asked for, and its calibration."""
+    if correct and options.get("method", "joint") != "joint":
+        raise HueflightError(
+            f"method {options['method']!r} does not profit from corrected waveforms: correct the "
+            "drift with method 'joint', or only check the image"
+        )
+    names = ("depth_range", "frames", "pileup_correction", "threads")
+    given = {name: options[name] for name in names if name in options}
+    if correct:
+        correction = correct_drift(counts, calibration, image, **given)
+        before, after = correction.before, correction.after
+        calibration = correction.calibration
+        changed = {**options, "background": correction.background}
+        image = reconstruct(counts, calibration, **changed)
+        drift = calibration.provenance.get("drift")
+        image.attrs["drift_corrected"] = "none" if drift is None else json.dumps(drift)
+    else:
+        before = after = check_image(counts, calibration, image, **given)
+    image = with_floor(image, counts, calibration, after, **given)
+    image.attrs["image_check"] = json.dumps(before.to_json())
+    return image, calibration, before
 
 
 def summarize(image: xr.Dataset) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -37,6 +37,9 @@ def reconstruct(
     ] = None,
     range_correction: bool | None = None,
     pileup_correction: bool = True,
+    background: Literal["flat", "sloped"] = "flat",
+    check: Annotated[bool, Parameter(negative=())] = False,
+    correct_drift: Annotated[bool, Parameter(negative=())] = False,
     depth_range: Annotated[tuple[float, float] | None, Parameter(negative_iterable=())] = None,
     frames: float | None = None,
     bands: str | None = None,
@@ -74,6 +77,16 @@ def reconstruct(
         calibration target is known; --no-range-correction gives the signal as it arrives.
     pileup_correction : bool, default True
         Correct for photons that an exposure missed because an earlier one had been detected.
+    background : str, default flat
+        How the background is distributed over the time bins: flat, or sloped to find a slope or a
+        slow decay from all pixels and fit with it.
+    check : bool, default False
+        Check the whole picture for departures from its calibration (delays and widths of the LEDs,
+        slope of the background, tails and multipath, lens flare, bin widths), print those that are
+        found and state them in the image. Deviations are widened by what tails and flare leave.
+    correct_drift : bool, default False
+        Check the picture, then reconstruct it with delays and widths of the LEDs and the shape of
+        the background as the picture shows them. The calibration on disk stays as it is.
     depth_range : tuple of float, optional
         Nearest and farthest depth to search, in metres: two numbers, such as 0.3 1.5. By default
         half the spacing of the pulses about the distance of the calibration target.
@@ -125,6 +138,7 @@ def reconstruct(
     given = {
         "method": method,
         "range_correction": range_correction,
+        "background": None if background == "flat" else background,
         "depth_range": depth_range,
         "frames": frames,
         "bands": None if bands is None else [name.strip() for name in bands.split(",")],
@@ -134,7 +148,13 @@ def reconstruct(
     options |= {name: value for name, value in given.items() if value is not None}
     reading = ReadOptions(dataset=dataset, axes=axes, channel=channel)
     shown = progress(json_wanted=json)
+    departures = "correct" if correct_drift else "check" if check else "ignore"
     if not _names_one_image(out):
+        if departures != "ignore":
+            raise HueflightError(
+                f"--out {out} is a folder: --check and --correct-drift take one capture and the "
+                "name of its image, NAME.zarr or NAME.nc"
+            )
         report = reconstruct_many(
             captures, out, calibration=calibration, workers=workers, scheduler=scheduler,
             options=options, reading=reading, overwrite=overwrite, progress=shown,
@@ -148,7 +168,7 @@ def reconstruct(
         )
     result = reconstruct_file(
         capture, out, calibration=calibration, options=options, reading=reading,
-        preview=preview and _can_draw(), overwrite=overwrite, progress=shown,
+        departures=departures, preview=preview and _can_draw(), overwrite=overwrite, progress=shown,
     )  # fmt: skip
     show(f"Image {out}", result.summary(), json_wanted=json)
     return 0

@@ -22,6 +22,7 @@ from hueflight.reconstruction.image_check import (
     MOST_PIXELS,
     ImageCheck,
     background_found,
+    background_of,
     check_pixels,
     sample_pixels,
     trusted_pixels,
@@ -65,7 +66,7 @@ def correct_drift(
     depth_range: tuple[float, float] | None = None,
     frames: ArrayLike | None = None,
     pileup_correction: bool = True,
-    background: BackgroundShape = FLAT,
+    background: BackgroundShape | None = None,
     pixels: int = MOST_PIXELS,
     threads: int = 1,
 ) -> Correction:
@@ -88,8 +89,8 @@ def correct_drift(
         Exposures behind the histogram; as for `reconstruct`.
     pileup_correction : bool
         Undo the loss of later photons of an exposure.
-    background : BackgroundShape
-        Shape of the background to begin with.
+    background : BackgroundShape, optional
+        Shape of the background to begin with; by default that which the image was made with.
     pixels : int
         Largest number of pixels to fit, evenly spaced over the picture.
     threads : int
@@ -125,18 +126,18 @@ def correct_drift(
         )
         return check_pixels(sampled, calibration)
 
-    before = checked(calibration, background)
+    before = checked(calibration, background_of(image) if background is None else background)
     # a background of another shape disturbs everything else: first of all
     check = _settle_background(before, lambda shape: checked(calibration, shape))
-    background = check.background
+    shape = check.background
     corrected = calibration
     for _ in range(DRIFT_PASSES):
         delays, factors = _drift(check, calibration.templates.bands)
         if not delays.any() and (factors == 1).all():
             break
         corrected = with_drift(corrected, delay_ps=delays, width_factor=factors)
-        check = checked(corrected, background)
-    return Correction(corrected, background, before, check)
+        check = checked(corrected, shape)
+    return Correction(corrected, shape, before, check)
 
 
 def _drift(check: ImageCheck, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -297,5 +298,7 @@ def with_floor(
     put("depth_std", bias[:, -1] * along_axis[chosen])
     white = image["white_photons"].transpose("row", "col").values[chosen].astype(np.float64)
     gains = white[:, None] * image["white_share"].values
-    put("reflectance_std", bias[:, : model.templates.bands] / gains)
+    names = [band.name for band in calibration.instrument.bands]
+    kept = [names.index(str(name)) for name in image["band_name"].values]
+    put("reflectance_std", bias[:, kept] / gains)
     return widened

@@ -19,7 +19,7 @@ from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.reconstruction import joint
 from hueflight.reconstruction.departures import find_background
 from hueflight.reconstruction.image import as_image
-from hueflight.reconstruction.image_check import MOST_PIXELS, trusted
+from hueflight.reconstruction.image_check import MOST_PIXELS, state_background, trusted
 from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
 from hueflight.reconstruction.methods import METHODS, check_options, find_method
 from hueflight.reconstruction.options import (
@@ -81,7 +81,7 @@ def reconstruct(
     background : BackgroundShape or {"flat", "sloped"}
         How the background is distributed over the time bins. ``"sloped"`` finds a slope or a slow
         decay that all pixels share, from their residuals, before all pixels are fitted with it;
-        ``image.background.attrs["shape"]`` says what was found. ``"joint"`` only.
+        the attributes of ``image.background`` say what was found. ``"joint"`` only.
     bands : sequence of str or int, optional
         Names or numbers of the bands whose reflectance is wanted, by default all. All bands are
         fitted in any case, because depth rests on the light of every band.
@@ -134,8 +134,8 @@ def reconstruct(
     estimates.quality[prepared.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
     image = as_image(estimates, calibration, method=method, range_correction=corrected)
-    if isinstance(options.background, BackgroundShape) and options.background != FLAT:
-        image["background"].attrs["shape"] = str(options.background)
+    if isinstance(options.background, BackgroundShape):
+        state_background(image, options.background)
     return image if bands is None else image.isel(band=numbers)
 
 

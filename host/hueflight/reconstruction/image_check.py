@@ -10,7 +10,7 @@ fitted together, because each alone would be blamed for the others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -87,13 +87,24 @@ class Suspect:
         """True if chance does not explain the sizes."""
         return self.score > FOUND
 
-    def __str__(self) -> str:
+    def describe(self) -> str:
+        """Return sizes, deviations and significance in words.
+
+        Returns
+        -------
+        str
+            One line.
+        """
         parts = [
             f"{label} {size:+.3g} ± {deviation:.2g}".strip()
             for label, size, deviation in zip(self.labels, self.sizes, self.deviations, strict=True)
         ]
         unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.name}: {', '.join(parts)}{unit} ({max(self.score, 0.0):.1f} sigma)"
+        return f"{', '.join(parts)}{unit} ({max(self.score, 0.0):.1f} sigma)"
+
+    def __str__(self) -> str:
+        """Return name and sizes."""
+        return f"{self.name}: {self.describe()}"
 
 
 @dataclass(frozen=True)
@@ -164,7 +175,7 @@ def check_image(
     depth_range: tuple[float, float] | None = None,
     frames: ArrayLike | None = None,
     pileup_correction: bool = True,
-    background: BackgroundShape = FLAT,
+    background: BackgroundShape | None = None,
     pixels: int = MOST_PIXELS,
     threads: int = 1,
 ) -> ImageCheck:
@@ -184,8 +195,8 @@ def check_image(
         Exposures behind the histogram; as for `reconstruct`.
     pileup_correction : bool
         Undo the loss of later photons of an exposure.
-    background : BackgroundShape
-        Shape of the background that the image was made with.
+    background : BackgroundShape, optional
+        Shape of the background to check against; by default that which the image was made with.
     pixels : int
         Largest number of pixels to fit, evenly spaced over the picture.
     threads : int
@@ -215,7 +226,7 @@ def check_image(
         trusted_pixels(image),
         depth_range=depth_range,
         pileup_correction=pileup_correction,
-        background=background,
+        background=background_of(image) if background is None else background,
         pixels=pixels,
         threads=threads,
     )
@@ -260,6 +271,39 @@ def trusted_pixels(image: xr.Dataset) -> NDArray[np.bool_]:
     """
     planes = image.transpose("row", "col", ...)
     return trusted(planes["depth"].values, planes["quality"].values)
+
+
+def background_of(image: xr.Dataset) -> BackgroundShape:
+    """Return the shape of the background that an image was made with.
+
+    Parameters
+    ----------
+    image : Dataset
+        The image.
+
+    Returns
+    -------
+    BackgroundShape
+        The shape that it states; flat where it states none.
+    """
+    stated = image["background"].attrs
+    if "shape" not in stated:
+        return FLAT
+    return BackgroundShape(**{field.name: float(stated[field.name]) for field in fields(FLAT)})
+
+
+def state_background(image: xr.Dataset, shape: BackgroundShape) -> None:
+    """Let an image state the shape of the background that it was made with.
+
+    Parameters
+    ----------
+    image : Dataset
+        The image, whose attributes are changed; a flat background is not stated.
+    shape : BackgroundShape
+        The shape.
+    """
+    if shape != FLAT:
+        image["background"].attrs |= {"shape": str(shape), **asdict(shape)}
 
 
 def trusted(depth: NDArray[np.floating], quality: NDArray[np.uint16]) -> NDArray[np.bool_]:

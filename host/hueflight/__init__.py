@@ -29,8 +29,8 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.reconstruction.interleaved import (
         reconstruct_interleaved as reconstruct_alternated,
     )
-    from hueflight.reconstruction.mixed_pixels import flag_mixed
     from hueflight.reconstruction.quality import Quality
+    from hueflight.reconstruction.separation import flag_mixed
     from hueflight.reconstruction.uncertainty import reflectance_interval
     from hueflight.recording import open_recording
 
@@ -52,7 +52,7 @@ _HOME = {
     "connect_async": "hueflight.client.async_client",
     "correct_drift": "hueflight.reconstruction.departures",
     "depth_bound": "hueflight.reconstruction.bounds",
-    "flag_mixed": "hueflight.reconstruction.mixed_pixels",
+    "flag_mixed": "hueflight.reconstruction.separation",
     "open_recording": "hueflight.recording",
     "read_capture": "hueflight.importers.captures",
     "read_counts": "hueflight.importers",

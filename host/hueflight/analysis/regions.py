@@ -20,7 +20,7 @@ UNRELIABLE = (
     Quality.DEAD
     | Quality.HOT
     | Quality.SATURATED
-    | Quality.AMBIGUOUS
+    | Quality.AMBIGUOUS_LAG
     | Quality.MISFIT
     | Quality.SKIPPED
     | Quality.MIXED

@@ -44,6 +44,7 @@ def reconstruct(
     frames: float | None = None,
     bands: str | None = None,
     region: str | None = None,
+    mixed: bool | None = None,
     threads: int = 1,
     dataset: str | None = None,
     axes: str = AXES,
@@ -99,6 +100,9 @@ def reconstruct(
     region : str, optional
         Rows and columns to reconstruct, from 0 and without the last ones, such as 10:20,30:40 or
         :,30:40. Other pixels have no result and are flagged as skipped. By default all pixels.
+    mixed : bool, optional
+        Find the pixels at edges that see two surfaces, flag them, and state both depths. By default
+        wherever the method is joint and the instrument has a lens.
     threads : int, default 1
         Number of threads that share the pixels of an image; with several captures, each process
         has as many.
@@ -143,6 +147,7 @@ def reconstruct(
         "frames": frames,
         "bands": None if bands is None else [name.strip() for name in bands.split(",")],
         "region": None if region is None else _slices(region),
+        "mixed": mixed,
         "threads": None if threads == 1 else threads,
     }
     options |= {name: value for name, value in given.items() if value is not None}

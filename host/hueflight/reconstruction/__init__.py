@@ -25,8 +25,6 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     from hueflight.reconstruction.mixed_pixels import (
         MixedPixels,
         find_mixed,
-        flag_mixed,
-        near_share,
     )
     from hueflight.reconstruction.options import (
         BINDING_OPTIONS,
@@ -37,6 +35,7 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
         Skips,
     )
     from hueflight.reconstruction.quality import Quality
+    from hueflight.reconstruction.separation import flag_mixed
     from hueflight.reconstruction.stopping import StopRule, frames_needed, seen_enough, share_known
     from hueflight.reconstruction.uncertainty import reflectance_interval
     from hueflight.reconstruction.video import Video
@@ -67,10 +66,9 @@ _HOME = {
     "find_method": "hueflight.reconstruction.methods",
     "find_mixed": "hueflight.reconstruction.mixed_pixels",
     "fisher_information": "hueflight.reconstruction.bounds",
-    "flag_mixed": "hueflight.reconstruction.mixed_pixels",
+    "flag_mixed": "hueflight.reconstruction.separation",
     "frames_needed": "hueflight.reconstruction.stopping",
     "information": "hueflight.reconstruction.bounds",
-    "near_share": "hueflight.reconstruction.mixed_pixels",
     "reconstruct": "hueflight.reconstruction.entry_point",
     "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
     "reconstruct_packets": "hueflight.reconstruction.entry_point",
@@ -110,7 +108,6 @@ __all__ = [
     "flag_mixed",
     "frames_needed",
     "information",
-    "near_share",
     "reconstruct",
     "reconstruct_interleaved",
     "reconstruct_packets",

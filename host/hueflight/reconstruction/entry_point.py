@@ -33,6 +33,7 @@ from hueflight.reconstruction.options import (
 )
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import resolve
+from hueflight.reconstruction.separation import lens_angle
 
 __all__ = ["METHODS", "reconstruct", "reconstruct_packets"]
 
@@ -52,6 +53,7 @@ def reconstruct(
     region: Region | None = None,
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
+    mixed: bool | None = None,
 ) -> xr.Dataset:
     """Reconstruct depth and reflectance in every band from one histogram per pixel.
 
@@ -92,13 +94,18 @@ def reconstruct(
         What ``"joint"`` may leave out.
     threads : int
         Threads that share the pixels; ``"paper"`` uses one.
+    mixed : bool, optional
+        Find the pixels at edges that see two surfaces, and give them the depths of both. By
+        default wherever the method is ``"joint"`` and the instrument has a lens, which tells the
+        angle between pixels.
 
     Returns
     -------
     Dataset
         Variables `depth`, `depth_std` (m), `reflectance`, `reflectance_std`, `background` (counts
         per code), `photons` and `quality`; what can't be known is NaN and flagged. Method
-        ``"pooled"`` adds `resolution`, the width in pixels of what an estimate rests on.
+        ``"pooled"`` adds `resolution`, the width in pixels of what an estimate rests on. Where
+        mixed pixels were looked for, there are `second_depth`, `second_depth_std` and `near_share`.
 
     Raises
     ------
@@ -107,7 +114,8 @@ def reconstruct(
         such method, region or band.
     HueflightError
         If the method can't take an option into account, or range correction is asked for and the
-        distance of the reference is not known.
+        distance of the reference is not known, or mixed pixels are asked for and the instrument
+        has no lens.
     """
     estimator = find_method(method)
     prepared = prepare_histogram(histogram, calibration, frames)
@@ -126,6 +134,7 @@ def reconstruct(
         region=wanted,
         skips=skips,
         threads=threads,
+        mixed=_finds_mixed(mixed, calibration, honors=estimator.honors),
     )
     check_options(method, estimator, options)
     if options.background == "sloped":
@@ -149,7 +158,8 @@ def _background_of(
     numbers = np.flatnonzero(wanted & calibration.usable)
     some = np.zeros(wanted.shape, bool)
     some.flat[numbers[:: max(1, numbers.size // MOST_PIXELS)]] = True
-    flat = joint.estimate(prepared, calibration, replace(options, background=FLAT, region=some))
+    plain = replace(options, background=FLAT, region=some, mixed=False)
+    flat = joint.estimate(prepared, calibration, plain)
     return find_background(
         prepared,
         calibration,
@@ -158,6 +168,15 @@ def _background_of(
         pileup_correction=options.pileup_correction,
         threads=options.threads,
     )
+
+
+def _finds_mixed(wanted: bool | None, calibration: Calibration, *, honors: frozenset[str]) -> bool:
+    """Decide whether mixed pixels are looked for."""
+    if wanted:
+        lens_angle(calibration.instrument)  # says so where there is no lens
+    if wanted is None:
+        return "mixed" in honors and calibration.instrument.lens is not None
+    return wanted
 
 
 def reconstruct_packets(
@@ -171,6 +190,7 @@ def reconstruct_packets(
     pileup_correction: bool = True,
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
+    mixed: bool | None = None,
 ) -> tuple[xr.Dataset, IngestReport]:
     """Reconstruct depth and reflectance in every band from a stream of packets, by the joint fit.
 
@@ -193,6 +213,8 @@ def reconstruct_packets(
         What the fit may leave out.
     threads : int
         Threads that share the pixels, first of counting, then of fitting.
+    mixed : bool, optional
+        Find the pixels at edges that see two surfaces; see `reconstruct`.
 
     Returns
     -------
@@ -223,5 +245,6 @@ def reconstruct_packets(
         pileup_correction=pileup_correction,
         skips=skips,
         threads=threads,
+        mixed=mixed,
     )
     return image, report

@@ -25,8 +25,8 @@ class Estimates:
     quality : ndarray of uint16, shape (row, col)
         Bits of `Quality`.
     other_depth : ndarray of float, shape (row, col), or None
-        Second depth of ambiguous pixels, else NaN, m. None from a method that looks for one depth
-        only.
+        Depth of the second lag of ambiguous pixels, else NaN, m. None from a method that looks for
+        one depth only.
     resolution : ndarray of float, shape (row, col), or None
         Width in pixels of the square that holds as many pixels as the estimate rests on. None from
         a method that uses the photons of each pixel alone.
@@ -38,6 +38,12 @@ class Estimates:
         counts do not scatter as Poisson counts. None from a method that does not test its fit.
     fit_p_value : ndarray of float, shape (row, col), or None
         Probability that a pixel with one surface fits as badly as this one; NaN and None likewise.
+    second_depth, second_depth_std : ndarray of float, shape (row, col), or None
+        Depth of the farther surface of pixels that see two and its standard deviation, else NaN,
+        m. None from a method that looks for one surface only.
+    near_share, near_share_std : ndarray of float, shape (row, col), or None
+        Share of a mixed pixel's area that the near surface covers, and its standard deviation; NaN
+        where it is not known. None likewise.
     """
 
     depth: NDArray[np.float64]
@@ -52,3 +58,7 @@ class Estimates:
     white_photons: NDArray[np.float64] | None = None
     fit_chi_square: NDArray[np.float64] | None = None
     fit_p_value: NDArray[np.float64] | None = None
+    second_depth: NDArray[np.float64] | None = None
+    second_depth_std: NDArray[np.float64] | None = None
+    near_share: NDArray[np.float64] | None = None
+    near_share_std: NDArray[np.float64] | None = None

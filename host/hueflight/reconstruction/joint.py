@@ -40,9 +40,10 @@ from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import relative_range, widened
+from hueflight.reconstruction.separation import FittedCounts, with_both_depths
 
 #: options that change the result and that the method takes into account
-honors = frozenset({"depth_range", "range_correction", "pileup_correction", "background"})
+honors = frozenset({"depth_range", "range_correction", "pileup_correction", "background", "mixed"})
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
@@ -187,18 +188,20 @@ def estimate(
         chosen &= photons > 0
     if skips.defects:
         chosen &= usable
+    tables = tables_for_calibration(calibration, search_ns, resolved_background(options))
+    frames = exposures if options.pileup_correction else None
     found = fit_chosen(
         light.reshape(-1, light.shape[-1]),
         chosen,
         photons,
-        exposures if options.pileup_correction else None,
+        frames,
         calibration,
-        tables_for_calibration(calibration, search_ns, resolved_background(options)),
+        tables,
         skips=skips,
         threads=options.threads,
     )
     known = wanted & usable & (photons > 0)
-    return in_metres(
+    estimates = in_metres(
         found if np.array_equal(known, chosen) else found.take(known[chosen]),
         known,
         photons,
@@ -209,6 +212,10 @@ def estimate(
         pileup_correction=options.pileup_correction,
         assessed=skips.of_fit(calibration).assessment,
     )
+    if not options.mixed:
+        return estimates
+    counts = FittedCounts(light, frames, tables, options.range_correction)
+    return with_both_depths(estimates, counts, calibration)
 
 
 def fit_chosen(
@@ -373,7 +380,7 @@ def in_metres(
         Quality.LOW_SIGNAL: low_signal,
         Quality.NO_RETURN: no_return,
         Quality.OUT_OF_RANGE: outside & ~no_return,
-        Quality.AMBIGUOUS: np.isfinite(found.other_ns) & ~unknown,
+        Quality.AMBIGUOUS_LAG: np.isfinite(found.other_ns) & ~unknown,
         Quality.MISFIT: (found.misfit > MISFIT) & ~unknown,
     }
     quality = _quality(calibration, chosen, flags)

@@ -113,6 +113,8 @@ class EstimatorOptions:
         What a method may leave out.
     threads : int
         Threads that a method may use.
+    mixed : bool
+        Find the pixels at edges that see two surfaces, of an instrument with a lens.
     """
 
     depth_range: tuple[float, float] | None = None
@@ -122,10 +124,13 @@ class EstimatorOptions:
     region: NDArray[np.bool_] | None = None
     skips: Skips = DEFAULT_SKIPS
     threads: int = 1
+    mixed: bool = False
 
 
 #: fields of `EstimatorOptions` that change the result, so that a method must not ignore them
-BINDING_OPTIONS = frozenset({"depth_range", "range_correction", "pileup_correction", "background"})
+BINDING_OPTIONS = frozenset(
+    {"depth_range", "range_correction", "pileup_correction", "background", "mixed"}
+)
 
 
 def region_mask(region: Region | None, shape: tuple[int, int]) -> NDArray[np.bool_]:
@@ -185,7 +190,9 @@ def leave_out(estimates: Estimates, pixels: NDArray[np.bool_]) -> None:
         values[pixels] = np.nan
     for values in (estimates.reflectance, estimates.reflectance_std):
         values[:, pixels] = np.nan
-    for values in (estimates.other_depth, estimates.fit_chi_square, estimates.fit_p_value):
+    planes = ("other_depth", "fit_chi_square", "fit_p_value", "second_depth", "second_depth_std")
+    for name in (*planes, "near_share", "near_share_std"):
+        values = getattr(estimates, name)
         if values is not None:
             values[pixels] = np.nan
     estimates.quality[pixels] &= np.uint16(ABOUT_COUNTS)

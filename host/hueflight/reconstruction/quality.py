@@ -20,8 +20,10 @@ class Quality(IntFlag):
         ``starved`` in ``flag_meanings``; `STARVED` is the same bit.
     SATURATED : int
         A counter may have reached its end.
-    AMBIGUOUS : int
-        A second depth is nearly as likely.
+    AMBIGUOUS_LAG : int
+        One surface, but a second lag of its pulses is nearly as likely: `other_depth` is the depth
+        that belongs to it. Images of earlier versions call it ``ambiguous`` in ``flag_meanings``;
+        `AMBIGUOUS` is the same bit.
     SKIPPED : int
         The pixel was left out on request.
     NO_RETURN : int
@@ -33,7 +35,8 @@ class Quality(IntFlag):
         One surface with the calibrated pulses does not explain the counts: for example two
         surfaces in the pixel, whose reported depth may lie between them.
     MIXED : int
-        The depth lies between two surfaces beside the pixel; set by `flag_mixed`.
+        The pixel lies at an edge and sees the surfaces on both sides: `depth` is that of the near
+        one, and `second_depth` that of the far one.
     PILED_UP : int
         So many exposures hold a photon that the correction of lost ones multiplies what is left:
         fewer than 1 period in 20 is still open at its end, or 1 exposure in 100.
@@ -43,7 +46,7 @@ class Quality(IntFlag):
     HOT = 2
     LOW_SIGNAL = 4
     SATURATED = 8
-    AMBIGUOUS = 16
+    AMBIGUOUS_LAG = 16
     SKIPPED = 32
     NO_RETURN = 64
     OUT_OF_RANGE = 128
@@ -51,6 +54,7 @@ class Quality(IntFlag):
     MIXED = 512
     PILED_UP = 4096
     STARVED = LOW_SIGNAL
+    AMBIGUOUS = AMBIGUOUS_LAG
 
 
 def flag_attributes() -> dict[str, Any]:

@@ -164,7 +164,35 @@ def relative_signal(
     if range_correction_of(image) in (None, "none"):
         return reflectance, deviation
     depth = planes["depth"].values.astype(np.float64)
-    by_range = 2 * reflectance * planes["depth_std"].values / np.abs(depth)
+    return uncorrected(reflectance, deviation, depth, planes["depth_std"].values, calibration)
+
+
+def uncorrected(
+    reflectance: NDArray[np.float64],
+    deviation: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    depth_std: NDArray[np.floating],
+    calibration: Calibration,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Undo the correction for the distance, and `widened`.
+
+    Parameters
+    ----------
+    reflectance, deviation : ndarray of float, shape (band, row, col)
+        Corrected reflectance and its standard deviation.
+    depth, depth_std : ndarray of float, shape (row, col)
+        Depth and its standard deviation, m.
+    calibration : Calibration
+        Calibration with the distance of the reference.
+
+    Returns
+    -------
+    signal : ndarray of float, shape (band, row, col)
+        Reflectance without range correction.
+    signal_std : ndarray of float, shape (band, row, col)
+        Its standard deviation by photon noise.
+    """
+    by_range = 2 * reflectance * depth_std / np.abs(depth)
     factor = relative_range(depth, calibration) ** 2
     return reflectance / factor, np.sqrt((deviation**2 - by_range**2).clip(0)) / factor
 

@@ -16,12 +16,14 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import clean
+import edges
 from _measure import table
 from acceptance import Group, Row
 
 #: name → function that draws data and yields rows
 GROUPS: dict[str, Group] = {
     "clean": clean.rows,
+    "edges": edges.rows,
 }
 PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
 

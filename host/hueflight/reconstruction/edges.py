@@ -1,0 +1,219 @@
+"""Edges: pixels about which the image shows a near and a far surface.
+
+In the window about each pixel, the depths of a near and of a far surface are estimated. Where they
+differ by more than a tilted plane would explain, the pixel lies at an edge, and may see both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import radians, tan
+
+import numpy as np
+from numpy.typing import NDArray
+
+WINDOW = 5  #: rows and columns of the window about a pixel
+SHIFTS = 2  #: steps of the mean shift after the first
+REACH = 2.5  #: standard deviations within which a pixel belongs to a surface
+LEAST_PIXELS = 2  #: in the window that each surface needs
+STEEPEST_DEGREES = 80.0  #: a single surface is tilted by no more than this
+EDGE_DEVIATIONS = 4.0  #: by which a step exceeds what a tilted surface changes
+OWN_DEVIATIONS = 2.0  #: of the pixel itself, than which a smaller step is not looked at
+LOOKED_AT = 0.8  #: share of the smallest step, from which the surfaces are estimated
+SIGNIFICANT = 2.2  #: standard deviations by which a mixed pixel differs from either surface
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Pixels at edges, and the surfaces beside them.
+
+    Attributes
+    ----------
+    row, col : ndarray of int, shape (pixel,)
+        The pixels.
+    near, far : ndarray of float, shape (pixel,)
+        Depth of the near and of the far surface, m.
+    near_std, far_std : ndarray of float, shape (pixel,)
+        Standard deviations of these depths, m.
+    between : ndarray of bool, shape (pixel,)
+        Whether the pixel's own depth lies between both and differs significantly from either.
+    """
+
+    row: NDArray[np.intp]
+    col: NDArray[np.intp]
+    near: NDArray[np.float64]
+    far: NDArray[np.float64]
+    near_std: NDArray[np.float64]
+    far_std: NDArray[np.float64]
+    between: NDArray[np.bool_]
+
+    def take(self, chosen: NDArray[np.bool_]) -> Edges:
+        """Return some of the pixels.
+
+        Parameters
+        ----------
+        chosen : ndarray of bool, shape (pixel,)
+            Pixels to keep.
+
+        Returns
+        -------
+        Edges
+            The same of these pixels.
+        """
+        return Edges(*(getattr(self, name)[chosen] for name in Edges.__dataclass_fields__))
+
+
+def find_edges(
+    depth: NDArray[np.floating], depth_std: NDArray[np.floating], pixel_angle: float
+) -> Edges:
+    """Find the pixels about which there is a near and a far surface.
+
+    Parameters
+    ----------
+    depth : ndarray of float, shape (row, col)
+        Depth, m; NaN where it is not known.
+    depth_std : ndarray of float, shape (row, col)
+        Standard deviation of depth, m, whose errors are independent from pixel to pixel.
+    pixel_angle : float
+        Angle between neighboring pixels, rad.
+
+    Returns
+    -------
+    Edges
+        Pixels whose own depth is known and that lie at an edge, in the order of the image.
+    """
+    known = np.isfinite(depth) & (depth_std > 0)
+    planes = np.where(known, np.stack([depth, depth_std]), np.nan)
+    # a plane's steepest change from one end of the window to the other
+    limit = tan(radians(STEEPEST_DEGREES)) * (WINDOW - 1) * pixel_angle
+    starts = _starts(planes)
+    # most pixels lie on one surface: no need to look closer
+    with np.errstate(invalid="ignore"):  # without neighbors: inf - inf
+        step = starts[1] - starts[0]
+        stepped = known & (step > LOOKED_AT * limit * starts[0])
+        stepped &= step > LOOKED_AT * OWN_DEVIATIONS * planes[1]
+    row, col = np.nonzero(stepped)
+    depths, deviations = np.moveaxis(neighbors(np.moveaxis(planes, 0, -1), row, col), -1, 0)
+    near, near_std, near_pixels = _surface(depths, deviations, starts[0][row, col])
+    far, far_std, far_pixels = _surface(depths, deviations, starts[1][row, col])
+    own, std = planes[:, row, col]
+    step = far - near
+    edge = (
+        (step > limit * near + EDGE_DEVIATIONS * np.hypot(near_std, far_std))
+        & (step > OWN_DEVIATIONS * std)
+        & (np.minimum(near_pixels, far_pixels) >= LEAST_PIXELS)
+    )
+    between = (own - near > SIGNIFICANT * np.hypot(std, near_std)) & (
+        far - own > SIGNIFICANT * np.hypot(std, far_std)
+    )
+    return Edges(row, col, near, far, near_std, far_std, between).take(edge)
+
+
+def neighbors(
+    planes: NDArray[np.floating], row: NDArray[np.intp], col: NDArray[np.intp]
+) -> NDArray[np.floating]:
+    """Return the values about some pixels, without their own.
+
+    Parameters
+    ----------
+    planes : ndarray of float, shape (row, col, plane)
+        Values of all pixels.
+    row, col : ndarray of int, shape (pixel,)
+        The pixels.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel, neighbor, plane)
+        Values of the neighbors; NaN outside the image.
+    """
+    margin = WINDOW // 2
+    padding = ((margin, margin), (margin, margin), (0, 0))
+    padded = np.pad(planes, padding, constant_values=np.nan)
+    width = padded.shape[1]
+    down, right = np.divmod(np.delete(np.arange(WINDOW**2), WINDOW**2 // 2), WINDOW)
+    places = (row * width + col)[:, None] + (down * width + right)
+    return padded.reshape(-1, planes.shape[-1])[places]
+
+
+def _starts(planes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where the surfaces about each pixel are looked for: after one step of mean shift.
+
+    It starts from the third smallest and the third largest depth, which one outlier does not
+    change. Where fewer are known, the last of them is taken; inf and -inf where none is.
+    """
+    margin = WINDOW // 2
+    padded = np.pad(planes.astype(np.float32), ((0, 0), (margin, margin), (margin, margin)),
+                    constant_values=np.nan)  # fmt: skip
+    depth, deviation = padded
+    unknown = np.isnan(depth)
+    values = np.where(unknown, np.float32(np.inf), depth)
+    reach = np.where(unknown, np.float32(0), REACH * deviation)
+    weights = np.where(unknown, np.float32(0), deviation**-2)
+    moments = weights * np.where(unknown, np.float32(0), depth)
+    low, high = _third_smallest(values), -_third_smallest(np.where(unknown, np.inf, -depth))
+    return tuple(_shifted(values, reach, weights, moments, start) for start in (low, high))
+
+
+def _views(padded: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
+    """Yield the neighbors of all pixels in one direction after another."""
+    rows, cols = (size - WINDOW + 1 for size in padded.shape)
+    for place in range(WINDOW**2):
+        if place != WINDOW**2 // 2:
+            down, right = divmod(place, WINDOW)
+            yield padded[down : down + rows, right : right + cols]
+
+
+def _third_smallest(padded: NDArray[np.float32]) -> NDArray[np.float32]:
+    shape = tuple(size - WINDOW + 1 for size in padded.shape)
+    first, second, third = np.full((3, *shape), np.inf, np.float32)
+    larger = np.empty(shape, np.float32)
+    for value in _views(padded):
+        np.minimum(third, np.maximum(second, value, out=larger), out=third)
+        np.minimum(second, np.maximum(first, value, out=larger), out=second)
+        np.minimum(first, value, out=first)
+    last = np.where(np.isfinite(second), second, first)
+    return np.where(np.isfinite(third), third, last)
+
+
+def _shifted(
+    values: NDArray[np.float32],
+    reach: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    moments: NDArray[np.float32],
+    start: NDArray[np.float32],
+) -> NDArray[np.float64]:
+    """Return the mean of the neighbors within reach of a start, else the start."""
+    total, moment = np.zeros((2, *start.shape), np.float32)
+    off, inside = np.empty_like(start), np.empty(start.shape, bool)
+    with np.errstate(invalid="ignore"):  # inf - inf
+        for value, within, weight, part in zip(
+            _views(values), _views(reach), _views(weights), _views(moments), strict=True
+        ):
+            np.abs(np.subtract(value, start, out=off), out=off)
+            np.less(off, within, out=inside)
+            total += np.multiply(weight, inside, out=off)
+            moment += np.multiply(part, inside, out=off)
+    found = moment / np.where(total > 0, total, np.float32(1))
+    return np.where(total > 0, found, start).astype(np.float64)
+
+
+def _surface(
+    depths: NDArray[np.float64], deviations: NDArray[np.float64], start: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """Return depth, deviation and number of pixels of the surface at `start`, by mean shift.
+
+    Extremes of several depths are biased outwards; the mean of the pixels about them is not.
+    """
+    known = np.isfinite(depths)
+    weights = np.where(known, 1 / deviations**2, 0.0)
+    values = np.where(known, depths, np.inf)
+    moments = weights * np.where(known, depths, 0.0)
+    reach = REACH * np.where(known, deviations, 0.0)
+    center, total, members = start, np.ones_like(start), np.zeros(depths.shape, bool)
+    for _ in range(SHIFTS):
+        members = np.abs(values - center[:, None]) < reach
+        total = np.einsum("pn,pn->p", weights, members)
+        found = np.einsum("pn,pn->p", moments, members) / np.where(total > 0, total, 1.0)
+        center = np.where(total > 0, found, center)
+    return center, np.where(total > 0, total, np.inf) ** -0.5, members.sum(axis=-1)

@@ -28,6 +28,7 @@ DISTANCES_M = (0.5, 1.0, 1.5)  #: distances of the scene in the paper's Fig. 7
 PAPER_ROWS = 192  #: rows of the sensor to which the paper's row numbers refer
 PROFILE_ROWS = (139, 56)  #: rows of the paper's Fig. 6
 DISTANCES_ROW = 80  #: a row that crosses the window of the wall at all three distances
+POOLED_BELOW_FRAMES = 2000  #: captures with fewer frames are pooled over neighbors
 RANGE_PHOTONS = 10_000  #: signal photons of one range measurement of Fig. 9
 #: detections per period at 1 m in Fig. 9; few, as the first-photon sensor distorts bright pulses
 RANGE_DETECTIONS = 5e-4
@@ -35,7 +36,7 @@ RANGE_DETECTIONS = 5e-4
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture of a scene, with its truth and the image reconstructed from it.
+    """A capture of a scene, with its truth and the images reconstructed from it.
 
     Attributes
     ----------
@@ -46,7 +47,9 @@ class Capture:
     histogram : ndarray of uint16 or uint32, shape (row, col, code)
         Number of exposures with each code.
     image : Dataset
-        Image reconstructed from the histogram.
+        Image reconstructed by the paper's method.
+    joint : Dataset
+        Image reconstructed by the joint fit; by the pooled method where frames are few.
     frames : int
         Number of exposures.
     """
@@ -55,6 +58,7 @@ class Capture:
     truth: simulator.Truth
     histogram: NDArray[np.unsignedinteger]
     image: xr.Dataset
+    joint: xr.Dataset
     frames: int
 
 
@@ -92,25 +96,26 @@ class RangeSeries:
     ----------
     truth : ndarray of float, shape (distance,)
         True distance of the plane, m.
-    measured : ndarray of float, shape (distance,)
-        Measured distance, m.
+    measured, joint : ndarray of float, shape (distance,)
+        Distance measured by the paper's method and by the joint fit, m.
     bound : ndarray of float, shape (distance,)
         Cramér–Rao bound of the standard deviation, m.
     """
 
     truth: NDArray[np.float64]
     measured: NDArray[np.float64]
+    joint: NDArray[np.float64]
     bound: NDArray[np.float64]
 
     @property
-    def residual(self) -> NDArray[np.float64]:
-        """Measured minus true distance, m, shape (distance,)."""
-        return self.measured - self.truth
+    def deviation(self) -> float:
+        """Standard deviation of the paper's method about the true distance, m."""
+        return float(np.std(self.measured - self.truth))
 
     @property
-    def deviation(self) -> float:
-        """Standard deviation of the residual, m."""
-        return float(np.std(self.residual))
+    def joint_deviation(self) -> float:
+        """Standard deviation of the joint fit about the true distance, m."""
+        return float(np.std(self.joint - self.truth))
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,7 @@ class DepthRow:
     bias : float
         Mean of measured minus true depth, m.
     bound : float
-        Cramér–Rao bound of the standard deviation at the median number of photons, m.
+        Cramér–Rao bound of the standard deviation, m: root of the mean square over the pixels.
     photons : float
         Median number of signal photons per pixel.
     """
@@ -147,11 +152,11 @@ class Findings:
     instrument : Instrument
         Simulated instrument.
     calibration : Calibration
-        Calibration from simulated reference, dark and flat captures.
+        Calibration from simulated reference, one-LED, dark and flat captures.
     main : Capture
         Scene of the paper's Fig. 1 from all frames.
-    background_row : DepthRow
-        Depth along a row of the board in `main`.
+    background_row, joint_row : DepthRow
+        Depth along a row of the board in `main`, by the paper's method and by the joint fit.
     distances : dict of float to Capture
         Scene of the paper's Fig. 7, by distance in metres.
     frame_series : dict of int to Capture
@@ -166,6 +171,7 @@ class Findings:
     calibration: Calibration
     main: Capture
     background_row: DepthRow
+    joint_row: DepthRow
     distances: dict[float, Capture]
     frame_series: dict[int, Capture]
     ranging: RangeSeries
@@ -229,7 +235,8 @@ def run_all(instrument: Instrument, *, frames: int, seed: int, progress: Progres
         instrument=instrument,
         calibration=calibration,
         main=main,
-        background_row=depth_row(main, calibration),
+        background_row=depth_row(main, main.image, calibration),
+        joint_row=depth_row(main, main.joint, calibration),
         distances=distances,
         frame_series=dict(sorted(series.items())),
         ranging=ranging,
@@ -240,15 +247,16 @@ def run_all(instrument: Instrument, *, frames: int, seed: int, progress: Progres
 def reference_calibration(
     instrument: Instrument, *, frames: int, settings: simulator.SimulationSettings
 ) -> Calibration:
-    """Calibrate with simulated captures of a white sheet at 0.40 m, dark and flat."""
+    """Calibrate with simulated captures of a white sheet at 0.40 m, also one LED at a time."""
     captured = {
         kind: simulator.simulate_capture(kind, instrument, frames=frames, settings=settings)
-        for kind in ("reference", "dark", "flat")
+        for kind in ("reference", "bands", "dark", "flat")
     }
     return calibrate(
         captured["reference"],
         instrument,
         distance=REFERENCE_DISTANCE_M,
+        bands=captured["bands"],
         dark=captured["dark"],
         flat=captured["flat"],
     )
@@ -264,7 +272,7 @@ def capture(
     range_correction: bool = False,
     **layout: Any,
 ) -> Capture:
-    """Simulate the capture of a scene and reconstruct it by the paper's method.
+    """Simulate the capture of a scene and reconstruct it by both methods.
 
     Parameters
     ----------
@@ -286,15 +294,18 @@ def capture(
     Returns
     -------
     Capture
-        Scene, truth, histogram and image.
+        Scene, truth, histogram and images.
     """
     instrument = calibration.instrument
     scene = simulator.scene(name, instrument, **layout)
     histogram = simulator.simulate_histogram(
         scene, instrument, frames=frames, settings=settings, seed=seed
     )
-    image = reconstruct(histogram, calibration, method="paper", range_correction=range_correction)
-    return Capture(scene, scene.truth(instrument), histogram, image, frames)
+    paper, joint = (
+        reconstruct(histogram, calibration, method=method, range_correction=range_correction)
+        for method in ("paper", "pooled" if frames < POOLED_BELOW_FRAMES else "joint")
+    )
+    return Capture(scene, scene.truth(instrument), histogram, paper, joint, frames)
 
 
 def scaled_row(paper_row: int, instrument: Instrument) -> int:
@@ -302,13 +313,15 @@ def scaled_row(paper_row: int, instrument: Instrument) -> int:
     return paper_row * instrument.image_shape[0] // PAPER_ROWS
 
 
-def depth_row(capture: Capture, calibration: Calibration) -> DepthRow:
+def depth_row(capture: Capture, image: xr.Dataset, calibration: Calibration) -> DepthRow:
     """Compare the depth along a row of lit background with the truth and the bound (Fig. 6).
 
     Parameters
     ----------
     capture : Capture
         Capture of the scene of Fig. 1.
+    image : Dataset
+        One of its images.
     calibration : Calibration
         Calibration with which the image was reconstructed.
 
@@ -318,25 +331,31 @@ def depth_row(capture: Capture, calibration: Calibration) -> DepthRow:
         Statistics over the usable pixels of the row that see the board.
     """
     row = scaled_row(PROFILE_ROWS[0], calibration.instrument)
-    depth = capture.image["depth"].values[row]
+    depth = image["depth"].values[row]
     truth, lit = capture.truth.depth[row], capture.truth.lit[row]
     good = np.isfinite(depth) & lit & np.isclose(truth, np.nanmax(truth))
     error = depth[good] - truth[good]
-    background = capture.image["background"].values[row][good] * calibration.bins.count
-    photons = capture.image["photons"].values[row][good] - background
-    reflectance = np.nanmean(capture.truth.reflectance[:, row][:, good], axis=1)
-    bound = depth_bound(
-        calibration,
-        photons=float(np.median(photons)),
-        reflectance=reflectance,
-        background=float(np.median(background)),
-        depth=float(np.median(truth[good])),
-    )
+    light = capture.joint  # whose background is free of the pulses' tails
+    background = light["background"].values[row][good] * calibration.bins.count
+    photons = light["photons"].values[row][good] - background
+    bounds = [
+        depth_bound(
+            calibration,
+            photons=float(signal),
+            reflectance=reflectance,
+            background=float(noise),
+            depth=float(distance),
+        )
+        for signal, reflectance, noise, distance in zip(
+            photons, capture.truth.reflectance[:, row][:, good].T, background, truth[good],
+            strict=True,
+        )
+    ]  # fmt: skip
     return DepthRow(
         row=row,
         deviation=float(np.std(error)),
         bias=float(np.mean(error)),
-        bound=bound,
+        bound=float(np.sqrt(np.mean(np.square(bounds)))),
         photons=float(np.median(photons)),
     )
 
@@ -367,7 +386,7 @@ def range_series(instrument: Instrument, *, seed: int, steps: int = 25) -> Range
     )
     calibration = calibrate(reference, instrument, distance=1.0)
     truth = np.linspace(0.1, 2.5, steps)
-    measured, bound = np.empty(steps), np.empty(steps)
+    measured, joint, bound = np.empty((3, steps))
     for number, distance in enumerate(truth):
         target = simulator.scene("plane", instrument, distance=float(distance))
         # the same number of photons at all distances, so that only the converter differs
@@ -377,10 +396,11 @@ def range_series(instrument: Instrument, *, seed: int, steps: int = 25) -> Range
         )
         image = reconstruct(counts, calibration, method="paper")
         measured[number] = image["depth"].item()
+        joint[number] = reconstruct(counts, calibration, method="joint")["depth"].item()
         bound[number] = depth_bound(
             calibration, photons=image["photons"].item(), depth=float(distance)
         )
-    return RangeSeries(truth, measured, bound)
+    return RangeSeries(truth, measured, joint, bound)
 
 
 def wire_check(

@@ -14,6 +14,7 @@ from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.paper import search_bins
 from hueflight.report.experiments import (
     DISTANCES_ROW,
+    POOLED_BELOW_FRAMES,
     PROFILE_ROWS,
     Capture,
     Findings,
@@ -21,8 +22,9 @@ from hueflight.report.experiments import (
 )
 from hueflight.report.style import (
     DEPTH_MAP,
+    JOINT,
     MEASURED,
-    SECOND,
+    PAPER,
     TRUTH,
     label_lines,
     panels,
@@ -107,121 +109,174 @@ def band_windows(findings: Findings) -> Figure:
 
 
 def reflectance_images(findings: Findings) -> Figure:
-    """Fig. 4(a–j): reflectance in every band, and three bands as an RGB picture."""
-    image, instrument = findings.main.image, findings.instrument
+    """Fig. 4(a–j): reflectance in every band by both methods, and three bands as an RGB picture."""
+    capture, instrument = findings.main, findings.instrument
     aspect = pixel_aspect(instrument)
     count = len(instrument.bands)
     columns = 5
     rows = -(-(count + 1) // columns)
-    figure, axes = panels(rows, columns, width=11, height=1.85 * rows)
-    top = float(np.nanpercentile(image["reflectance"].values, 98))
-    shown = []
-    for band, place in zip(range(count), axes.flat, strict=False):
-        nm = instrument.bands[band].wavelength_nm
-        plane = image["reflectance"].values[:, :, band]
-        title = f"{nm:.0f} nm"
-        shown.append(show_plane(place, plane, aspect=aspect, limits=(0, top), title=title))
-        place.title.set_color(wavelength_colour(nm))
-    spare = list(axes.flat)[count:]
-    figure.colorbar(shown[0], ax=axes[:, :], label="reflectance", shrink=0.9, pad=0.01)
-    rgb = three_band_rgb(image)
-    spare[0].imshow(rgb, aspect=aspect, interpolation="nearest")
-    spare[0].set_title("RGB 623, 525, 445 nm")
-    for place in spare:
-        place.axis("off")
+    figure, axes = panels(2 * rows, columns, width=11, height=3.7 * rows)
+    top = float(np.nanpercentile(capture.joint["reflectance"].values, 98))
+    for half, (name, image) in enumerate((("paper", capture.image), ("joint", capture.joint))):
+        places = list(axes[half * rows : (half + 1) * rows].flat)
+        shown = []
+        for band, place in zip(range(count), places, strict=False):
+            nm = instrument.bands[band].wavelength_nm
+            plane = image["reflectance"].values[:, :, band]
+            title = f"{name}, {nm:.0f} nm" if band == 0 else f"{nm:.0f} nm"
+            shown.append(show_plane(place, plane, aspect=aspect, limits=(0, top), title=title))
+            place.title.set_color(wavelength_colour(nm))
+        figure.colorbar(
+            shown[-1], ax=axes[half * rows : (half + 1) * rows, :], label="reflectance", shrink=0.9,
+            pad=0.01,
+        )  # fmt: skip
+        spare = places[count:]
+        spare[0].imshow(three_band_rgb(image), aspect=aspect, interpolation="nearest")
+        spare[0].set_title("RGB 623, 525, 445 nm")
+        for place in spare:
+            place.axis("off")
     return figure
 
 
 def spectra_of_regions(findings: Findings) -> Figure:
-    """Figs. 4(k) and 5: mean spectra of regions with their true spectra."""
+    """Figs. 4(k) and 5: mean spectra of regions by both methods, with their true spectra."""
     capture, instrument = findings.main, findings.instrument
     regions = capture.truth.regions
     names = [name for name in SPECTRUM_REGIONS if name in regions and regions[name].any()]
-    spectra = region_spectra(capture.image, {name: regions[name] for name in names})
+    masks = {name: regions[name] for name in names}
     order = np.argsort(instrument.wavelengths_nm)
     wavelengths = instrument.wavelengths_nm[order]
-    figure, axes = panels(2, 3, width=10, height=4.6, sharex=True, sharey=True)
+    figure, axes = panels(2, 3, width=10, height=4.6, sharex=True)
+    for label, image, look in (("paper", capture.image, PAPER), ("joint", capture.joint, JOINT)):
+        spectra = region_spectra(image, masks)
+        for name, place in zip(names, axes.flat, strict=False):
+            measured = spectra["reflectance"].sel(region=name).values[order]
+            error = spectra["reflectance_std"].sel(region=name).values[order]
+            place.errorbar(
+                wavelengths, measured, yerr=error, marker="o", markersize=3.5, capsize=2,
+                label=label, **look,
+            )  # fmt: skip
     for name, place in zip(names, axes.flat, strict=False):
-        measured = spectra["reflectance"].sel(region=name).values[order]
-        error = spectra["reflectance_std"].sel(region=name).values[order]
         truth = capture.truth.reflectance[:, regions[name]].mean(axis=1)[order]
-        place.errorbar(
-            wavelengths, measured / measured.max(), yerr=error / measured.max(), marker="o",
-            markersize=4, capsize=2, label="measured", **MEASURED,
-        )  # fmt: skip
-        place.plot(wavelengths, truth / truth.max(), marker=".", label="truth", **TRUTH)
+        place.plot(wavelengths, truth, label="truth", **TRUTH)
         place.set_title(name)
-        place.set_ylim(0, 1.15)
+        place.set_ylim(bottom=0)
     for place in axes[-1]:
         place.set_xlabel("wavelength / nm")
     for place in axes[:, 0]:
-        place.set_ylabel("reflectance\n(brightest band = 1)")
+        place.set_ylabel("reflectance")
     axes[0, 0].legend(fontsize=8)
     return figure
 
 
 def depth_and_profiles(findings: Findings) -> Figure:
-    """Fig. 6: depth map, and depth along two rows with the true depth."""
+    """Fig. 6: depth maps of both methods, and depth along two rows with the true depth."""
     capture = findings.main
     aspect = pixel_aspect(findings.instrument)
-    figure, ((left, right),) = panels(1, 2, width=10.5, height=3.6)
-    shown = show_plane(
-        left, capture.image["depth"].values, aspect=aspect, limits=_depth_limits(capture),
-        colours=DEPTH_MAP, title="a  Depth",
-    )  # fmt: skip
-    figure.colorbar(shown, ax=left, label="depth / m", shrink=0.85)
-    for paper_row, look in zip(PROFILE_ROWS, (MEASURED, SECOND), strict=True):
-        row = scaled_row(paper_row, findings.instrument)
-        left.axhline(row, **look)
-        right.plot(capture.image["depth"].values[row], label=f"row {row}", **look)
-        right.plot(
-            capture.truth.depth[row],
-            label="truth" if paper_row == PROFILE_ROWS[0] else None,
-            **TRUTH,
-        )
-        dark = np.flatnonzero(~capture.truth.lit[row])
-        right.plot(dark, np.full(dark.size, _depth_limits(capture)[0]), "|", color=look["color"])
-    low, high = _depth_limits(capture)
-    right.set_ylim(low - 0.05, high + 0.15)
-    spread = findings.background_row
-    right.set_title(
-        f"b  Profiles; row {spread.row}: σ = {100 * spread.deviation:.2f} cm "
-        f"(bound {100 * spread.bound:.2f} cm); ticks: shadow"
+    limits = _depth_limits(capture)
+    figure, axes = panels(2, 2, width=10.5, height=6.4)
+    results = (
+        ("paper", capture.image, PAPER, findings.background_row),
+        ("joint", capture.joint, JOINT, findings.joint_row),
     )
-    label_lines(right, "column", "depth / m")
+    for (name, image, look, _), place in zip(results, axes[:, 0], strict=True):
+        shown = show_plane(
+            place, image["depth"].values, aspect=aspect, limits=limits, colours=DEPTH_MAP,
+            title=f"Depth, {name}",
+        )  # fmt: skip
+        figure.colorbar(shown, ax=place, label="depth / m", shrink=0.85)
+        for paper_row, place in zip(PROFILE_ROWS, axes[:, 1], strict=True):
+            row = scaled_row(paper_row, findings.instrument)
+            place.plot(image["depth"].values[row], label=name, **look)
+    deviation = capture.joint["depth_std"].values
+    for paper_row, place in zip(PROFILE_ROWS, axes[:, 1], strict=True):
+        row = scaled_row(paper_row, findings.instrument)
+        for left in axes[:, 0]:
+            left.axhline(row, color="white", linewidth=0.7)
+        depth = capture.joint["depth"].values[row]
+        place.fill_between(
+            np.arange(depth.size), depth - deviation[row], depth + deviation[row],
+            color=JOINT["color"], alpha=0.2, linewidth=0, label="joint ± stated deviation",
+        )  # fmt: skip
+        place.plot(capture.truth.depth[row], label="truth", **TRUTH)
+        dark = np.flatnonzero(~capture.truth.lit[row])
+        place.plot(dark, np.full(dark.size, limits[0] - 0.03), "|", color="0.4")
+        place.set_ylim(limits[0] - 0.05, limits[1] + 0.15)
+        place.set_title(f"Row {row}")
+        label_lines(place, "column", "depth / m", legend=paper_row == PROFILE_ROWS[0])
+    spreads = ", ".join(f"{name} {100 * row.deviation:.2f} cm" for name, _, _, row in results)
+    bound = 100 * findings.joint_row.bound
+    axes[0, 1].set_title(f"Row {findings.joint_row.row}: σ {spreads}, bound {bound:.2f} cm")
+    return figure
+
+
+def uncertainty_and_flags(findings: Findings) -> Figure:
+    """The joint fit's own statements: deviation of depth, and pixels with flags."""
+    image, truth = findings.main.joint, findings.main.truth
+    aspect = pixel_aspect(findings.instrument)
+    figure, ((left, middle, right),) = panels(1, 3, width=11, height=3.0)
+    deviation = 100 * image["depth_std"].values
+    shown = show_plane(
+        left, deviation, aspect=aspect, limits=(0, float(np.nanpercentile(deviation, 95))),
+        title="Stated deviation of depth",
+    )  # fmt: skip
+    figure.colorbar(shown, ax=left, label="cm", shrink=0.85)
+    flagged = (image["quality"].values != 0).astype(float)
+    show_plane(middle, flagged, aspect=aspect, limits=(0, 1), title="Pixels with a flag")
+    ratio = (image["depth"].values - truth.depth) / image["depth_std"].values
+    plain = ratio[(flagged == 0) & np.isfinite(ratio)]
+    ends = np.linspace(-4, 4, 41)
+    right.hist(np.clip(plain, -4, 4), bins=ends, density=True, color=JOINT["color"], alpha=0.5)
+    right.plot(ends, np.exp(-(ends**2) / 2) / np.sqrt(2 * np.pi), label="normal", **TRUTH)
+    right.set_title(f"{(np.abs(plain) < 1).mean():.0%} lie within their deviation")
+    label_lines(right, "error / stated deviation, no flag", "density")
     return figure
 
 
 def distances(findings: Findings) -> Figure:
-    """Fig. 7: depth of a wall and a board at 0.5, 1.0 and 1.5 m."""
+    """Fig. 7: depth of a wall and a board at 0.5, 1.0 and 1.5 m by both methods."""
     aspect = pixel_aspect(findings.instrument)
     captures = findings.distances
-    figure, axes = panels(2, len(captures), width=11, height=5)
+    figure, axes = panels(3, len(captures), width=11, height=7)
+    row = scaled_row(DISTANCES_ROW, findings.instrument)
     for column, (distance, capture) in enumerate(captures.items()):
-        shown = show_plane(
-            axes[0, column], capture.image["depth"].values, aspect=aspect,
-            limits=_depth_limits(capture), colours=DEPTH_MAP, title=f"scene at {distance} m",
-        )  # fmt: skip
-        figure.colorbar(shown, ax=axes[0, column], shrink=0.8, label="depth / m")
-        row = scaled_row(DISTANCES_ROW, findings.instrument)
-        axes[0, column].axhline(row, **MEASURED)
-        axes[1, column].plot(capture.image["depth"].values[row], label=f"row {row}", **MEASURED)
-        axes[1, column].plot(capture.truth.depth[row], label="truth", **TRUTH)
         low, high = _depth_limits(capture)
-        axes[1, column].set_ylim(low - 0.1, high + 0.2)
-        label_lines(axes[1, column], "column", "depth / m", legend=column == 0)
+        profile = axes[2, column]
+        for place, name, image, look in (
+            (axes[0, column], "paper", capture.image, PAPER),
+            (axes[1, column], "joint", capture.joint, JOINT),
+        ):
+            depth = image["depth"].values
+            shown = show_plane(
+                place, depth, aspect=aspect, limits=(low, high), colours=DEPTH_MAP,
+                title=f"scene at {distance} m, {name}",
+            )  # fmt: skip
+            figure.colorbar(shown, ax=place, shrink=0.8, label="depth / m")
+            place.axhline(row, color="white", linewidth=0.7)
+            profile.plot(depth[row], label=name, **look)
+        profile.plot(capture.truth.depth[row], label="truth", **TRUTH)
+        profile.set_ylim(low - 0.1, high + 0.2)
+        profile.set_title(f"row {row}")
+        label_lines(profile, "column", "depth / m", legend=column == 0)
     return figure
 
 
 def frame_numbers(findings: Findings) -> Figure:
-    """Fig. 8: reflectance at 445 nm from different numbers of frames."""
+    """Fig. 8: reflectance at 445 nm from different numbers of frames, by both methods."""
     aspect = pixel_aspect(findings.instrument)
     band = int(np.argmin(np.abs(findings.instrument.wavelengths_nm - 445)))
-    figure, axes = panels(1, len(findings.frame_series), width=11, height=2.5)
-    for place, (frames, capture) in zip(axes.flat, findings.frame_series.items(), strict=True):
-        plane = capture.image["reflectance"].values[:, :, band]
-        top = float(np.nanpercentile(plane, 98)) if np.isfinite(plane).any() else 1.0
-        show_plane(place, plane, aspect=aspect, limits=(0, top), title=f"{frames} frames")
+    figure, axes = panels(2, len(findings.frame_series), width=11, height=4.8)
+    for column, (frames, capture) in enumerate(findings.frame_series.items()):
+        ours = capture.joint["reflectance"].values[:, :, band]
+        top = float(np.nanpercentile(ours, 98)) if np.isfinite(ours).any() else 1.0
+        pooled = "pooled" if frames < POOLED_BELOW_FRAMES else "joint"
+        for place, name, image in (
+            (axes[0, column], "paper", capture.image),
+            (axes[1, column], pooled, capture.joint),
+        ):
+            plane = image["reflectance"].values[:, :, band]
+            title = f"{frames} frames, {name}"
+            show_plane(place, plane, aspect=aspect, limits=(0, top), title=title)
     return figure
 
 
@@ -229,15 +284,24 @@ def ranging(findings: Findings) -> Figure:
     """Fig. 9: measured distance of a plane with codes of 55 ps, and the residual."""
     series = findings.ranging
     figure, (upper, lower) = panels(2, 1, width=7.5, height=4.4, sharex=True, height_ratios=[2, 1])
-    upper[0].plot(series.truth, series.measured, "o", markersize=4, color=MEASURED["color"])
-    upper[0].plot(series.truth, series.truth, **TRUTH)
-    upper[0].set_ylabel("measured / m")
-    upper[0].set_title(f"σ of the residual {100 * series.deviation:.2f} cm; shaded: ± bound")
     lower[0].fill_between(
         series.truth, -100 * series.bound, 100 * series.bound, color="0.88", linewidth=0
     )
     lower[0].axhline(0, **TRUTH)
-    lower[0].plot(series.truth, 100 * series.residual, "o", markersize=4, color=MEASURED["color"])
+    for name, found, look, marker in (
+        ("paper", series.measured, PAPER, "s"),
+        ("joint", series.joint, JOINT, "o"),
+    ):
+        style = {"color": look["color"], "marker": marker, "linestyle": "", "markersize": 4}
+        upper[0].plot(series.truth, found, label=name, **style)
+        lower[0].plot(series.truth, 100 * (found - series.truth), **style)
+    upper[0].plot(series.truth, series.truth, label="truth", **TRUTH)
+    upper[0].set_ylabel("measured / m")
+    upper[0].legend()
+    upper[0].set_title(
+        f"σ: paper {100 * series.deviation:.2f} cm, joint {100 * series.joint_deviation:.2f} cm; "
+        "shaded: ± bound"
+    )
     label_lines(lower[0], "distance / m", "residual / cm", legend=False)
     return figure
 

@@ -70,22 +70,31 @@ SECTIONS = (
     ),
     Section(
         "reflectance", "Fig. 4 · Reflectance in nine bands",
-        "Reflectance relative to a white sheet. Hot and dead pixels are left out (pink); only the "
-        "RGB picture fills them with values from their neighbours.",
+        "Reflectance relative to a white sheet, by the paper's method (above) and the joint fit "
+        "(below), in the same colors. Hot and dead pixels are left out (pink); only the RGB "
+        "picture fills them with values from their neighbors.",
         figures.reflectance_images,
     ),
     Section(
         "spectra", "Fig. 5 · Spectra of regions",
-        "Mean over each region with its standard error, and the simulated truth. Equation (2) "
-        "subtracts neither the background nor the tails of neighbouring pulses. Dark bands "
-        "therefore appear too bright, as in the paper, most of all that of the weak amber LED.",
+        "Mean over each region with its standard error, and the simulated truth. The paper's "
+        "equation (2) subtracts neither the background nor the tails of neighboring pulses. Dark "
+        "bands therefore appear too bright, most of all that of the weak amber LED. The joint fit "
+        "estimates both together with depth and reflectance.",
         figures.spectra_of_regions,
     ),
     Section(
         "depth", "Fig. 6 · Depth",
-        "Depth along the optical axis, and two rows of it with the truth. Few photons return from "
-        "shadows (ticks), where depth is uncertain or missing.",
+        "Depth along the optical axis by both methods, and two rows of it with the truth. Few "
+        "photons return from shadows (ticks), where depth is uncertain or missing.",
         figures.depth_and_profiles,
+    ),
+    Section(
+        "uncertainty", "What the joint fit says about itself",
+        "Each pixel states its deviation; pixels that are defective, see no surface, too little "
+        "light, or counts that one surface does not explain have a flag. The errors of the others, "
+        "divided by their stated deviations, are compared with a normal distribution.",
+        figures.uncertainty_and_flags,
     ),
     Section(
         "distances", "Fig. 7 · Other distances",
@@ -95,7 +104,9 @@ SECTIONS = (
     ),
     Section(
         "frames", "Fig. 8 · Fewer frames",
-        "Reflectance in the 445 nm band from 10, 100, 1000 and all frames.",
+        "Reflectance in the 445 nm band from 10, 100, 1000 and all frames, in the same colors "
+        "for both methods. Up to 1000 frames the pooled method shares photons between neighbors "
+        "that see the same surface.",
         figures.frame_numbers,
     ),
     Section(
@@ -154,14 +165,18 @@ def make_report(
 
 def key_numbers(findings: Findings) -> dict[str, float]:
     """Numbers that the table of the report compares with the paper, by name."""
-    row, ranging, wire = findings.background_row, findings.ranging, findings.wire
+    row, joint = findings.background_row, findings.joint_row
+    ranging, wire = findings.ranging, findings.wire
     return {
         "frames": findings.main.frames,
         "background_row_deviation_cm": 100 * row.deviation,
         "background_row_bias_cm": 100 * row.bias,
+        "background_row_joint_deviation_cm": 100 * joint.deviation,
+        "background_row_joint_bias_cm": 100 * joint.bias,
         "background_row_bound_cm": 100 * row.bound,
         "background_row_photons": row.photons,
         "ranging_deviation_cm": 100 * ranging.deviation,
+        "ranging_joint_deviation_cm": 100 * ranging.joint_deviation,
         "ranging_bound_cm": 100 * float(np.mean(ranging.bound)),
         "wire_frames": wire.frames,
         "wire_identical": float(wire.identical),
@@ -210,15 +225,18 @@ def _table(numbers: dict[str, float]) -> str:
             "Depth, background row 139",
             "3.41 cm",
             f"{numbers['background_row_deviation_cm']:.2f} cm",
+            f"{numbers['background_row_joint_deviation_cm']:.2f} cm",
             f"{numbers['background_row_bound_cm']:.2f} cm",
             f"Standard deviation over the row at {numbers['frames']:,.0f} frames, "
             f"{numbers['background_row_photons']:,.0f} signal photons per pixel. The paper's "
-            "value corresponds to about 300 photons; it does not state how many arrived.",
+            "value corresponds to about 300 photons; it does not state how many arrived. The "
+            "bound leaves out the noise of the reference.",
         ),
         (
             "Range, single pixel, 55 ps",
             "0.64 cm",
             f"{numbers['ranging_deviation_cm']:.2f} cm",
+            f"{numbers['ranging_joint_deviation_cm']:.2f} cm",
             f"{numbers['ranging_bound_cm']:.2f} cm",
             "Standard deviation of the residual over distances from 0.1 to 2.5 m, about "
             f"{RANGE_PHOTONS:,} photons each. The paper does not state the number of photons.",

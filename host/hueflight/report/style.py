@@ -19,7 +19,8 @@ from hueflight.color.colormap import table
 DEPTH_MAP = ListedColormap(table() / 255, name="hueflight")
 TRUTH = {"color": "0.15", "linewidth": 1.2, "linestyle": "--"}
 MEASURED = {"color": "#c2410c", "linewidth": 1.1}
-SECOND = {"color": "#1d4ed8", "linewidth": 1.1}
+PAPER = {"color": "#1d4ed8", "linewidth": 0.9}  #: results of the paper's method
+JOINT = MEASURED  #: results of the joint fit, or of pooling
 INK = "#1f2937"
 
 SETTINGS: Any = {

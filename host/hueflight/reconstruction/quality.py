@@ -37,6 +37,9 @@ class Quality(IntFlag):
     MIXED : int
         The pixel lies at an edge and sees the surfaces on both sides: `depth` is that of the near
         one, and `second_depth` that of the far one.
+    CONTRADICTED : int
+        The pixel's own photons show another depth than those of its neighbors; the depth is that
+        of its own.
     PILED_UP : int
         So many exposures hold a photon that the correction of lost ones multiplies what is left:
         fewer than 1 period in 20 is still open at its end, or 1 exposure in 100.
@@ -52,6 +55,7 @@ class Quality(IntFlag):
     OUT_OF_RANGE = 128
     MISFIT = 256
     MIXED = 512
+    CONTRADICTED = 2048
     PILED_UP = 4096
     STARVED = LOW_SIGNAL
     AMBIGUOUS = AMBIGUOUS_LAG

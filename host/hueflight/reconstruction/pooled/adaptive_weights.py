@@ -90,10 +90,10 @@ def grown(
     """
     windows = windows_of(seen, pilot, tables)
     ones = usable.astype(np.float32)
-    around = _box(np.concatenate([windows, ones[None]]), 4, threads)
-    score, information = _scored(seen, pilot, around[:-1] / np.maximum(around[-1], 1), tables)
+    around = box(np.concatenate([windows, ones[None]]), 4, threads)
+    score, information = scored(seen, pilot, around[:-1] / np.maximum(around[-1], 1), tables)
     data = np.concatenate([windows, np.stack([information, information * pilot + score, ones])])
-    pools = first_pools(windows, pilot, _box(information[None], 2, threads)[0], usable, threads)
+    pools = first_pools(windows, pilot, box(information[None], 2, threads)[0], usable, threads)
     active = np.ones(pilot.shape, bool)
     for radius in RADII:
         like = likeness(pools, windows, usable, tables)
@@ -123,7 +123,7 @@ def _looked_again(
     Until now neighbors were compared by the delays of the pilot, which are blurred across depth
     steps; now all have the delays of their own pools.
     """
-    score, information = _scored(seen, pools.delays_ns, pools.windows, tables)
+    score, information = scored(seen, pools.delays_ns, pools.windows, tables)
     moment = information * pools.delays_ns + score
     data = np.stack([information, moment, usable.astype(np.float32)])
     like = likeness(pools, windows, usable, tables)
@@ -184,7 +184,7 @@ def first_pools(
     Pools
         The pools.
     """
-    near = _box(np.concatenate([windows, usable[None].astype(np.float32)]), 1, threads)
+    near = box(np.concatenate([windows, usable[None].astype(np.float32)]), 1, threads)
     return Pools(
         delays_ns=delays_ns,
         variances=np.full(delays_ns.shape, np.inf, np.float32),
@@ -244,7 +244,7 @@ def unmixed_of(windows: Floats, unmixing: Floats) -> Floats:
     return np.einsum("as,srp->arp", unmixing, windows)
 
 
-def _scored(
+def scored(
     seen: Photons, delays_ns: Floats, spectrum: Floats, tables: Tables
 ) -> tuple[Floats, Floats]:
     """Score and information (row, col) of the delays, given photons in windows around a pixel."""
@@ -309,7 +309,7 @@ def _depth_of(
     return np.clip(moved, *search_ns), variances, pixels, information / level * pixels
 
 
-def _box(values: Floats, reach: int, threads: int) -> Floats:
+def box(values: Floats, reach: int, threads: int) -> Floats:
     """Sums (plane, row, col) over squares."""
     side = 2 * reach + 1
 

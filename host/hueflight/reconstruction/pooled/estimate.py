@@ -15,6 +15,7 @@ Every pixel reports how many pixels its estimate rests on.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -46,6 +47,7 @@ from hueflight.reconstruction.pooled.kernels import (
     list_photons,
     pool,
 )
+from hueflight.reconstruction.pooled.pool_check import OwnPhotons, pulled, refuted
 from hueflight.reconstruction.pooled.tables import Tables, tables_for
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import relative_range, widened
@@ -55,6 +57,7 @@ PILOT_PHOTONS = 300.0  #: in the square of the pilot
 PILOT_REACHES = (1, 2, 3, 4, 6, 9, 13)  #: squares of 2·reach + 1 pixels
 SIGHT_PHOTONS = 150.0  #: that neighbors of the same color must hold to be better
 SIGHT_RADII = (3.0, 6.0)  #: of the rounds by color alone, in pixels
+FINE_REACH = 2  #: squares of the pilot no wider than this blur no more than such neighbors
 ENOUGH = 1000.0  #: photons that a pool is closed with
 
 #: options that change the result and that the method takes into account
@@ -108,12 +111,22 @@ def estimate(
 
     squares = in_parts(over_squares, sight.lags_ns.size, threads, threads)
     pilot = sight.delays(np.concatenate(squares, axis=-1))
-    pilot = _sharpened(seen, pilot, sight, calibration.usable, tables, threads)
+    coarse = reach > FINE_REACH
+    if coarse.any():
+        sharp = _sharpened(seen, pilot, sight, coarse, calibration.usable, tables, threads)
+        pilot = np.where(coarse, sharp, pilot)
     pools = grown(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
+    usable = calibration.usable
     absent = without_return(seen, pools, reach, tables, search_ns, threads)
+    pools, doubt = pulled(seen, pools, usable, usable & ~absent, tables, search_ns, threads)
+    pools, contradicted = refuted(pools, sight, tables, search_ns)
     pooled = _in_metres(
         pools,
-        absent,
+        np.where(contradicted, 0, doubt),
+        {
+            Quality.NO_RETURN: absent & ~contradicted,
+            Quality.CONTRADICTED: contradicted,
+        },
         own,
         prepared.exposures,
         calibration,
@@ -179,17 +192,8 @@ def photons_of(
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
-    """Log-likelihood of a white train at some delays.
-
-    Attributes
-    ----------
-    likelihood : (row, col, lag).
-    lags_ns : (lag,) evenly spaced.
-    """
-
-    likelihood: Floats
-    lags_ns: NDArray[np.float64]
+class _Sight(OwnPhotons):
+    """Likelihood of each pixel's own photons, for estimates over neighbors."""
 
     def delays(self, sums: NDArray[np.floating]) -> Floats:
         """Delay (row, col) of the highest of sums (row, col, lag), freed of strays."""
@@ -237,14 +241,14 @@ def _sharpened(
     seen: Photons,
     pilot: Floats,
     sight: _Sight,
+    active: NDArray[np.bool_],
     usable: NDArray[np.bool_],
     tables: Tables,
     threads: int,
 ) -> Floats:
-    """Delay (row, col) over neighbors of the same color instead of over squares."""
+    """Delay (row, col) of active pixels over neighbors of the same color, not over squares."""
     windows = windows_of(seen, pilot, tables)
     pools = first_pools(windows, pilot, np.zeros_like(pilot), usable, threads)
-    active = np.ones(pilot.shape, bool)
     planes = np.concatenate(
         [np.moveaxis(sight.likelihood, -1, 0), windows.sum(axis=0, keepdims=True)]
     )
@@ -258,8 +262,10 @@ def _sharpened(
             return np.where(found.sums[-1] >= SIGHT_PHOTONS, sharp, pilot)
         pools = replace(
             pools,
-            windows=found.sums / np.maximum(found.weight, TINY),
-            pixels=found.weight**2 / np.maximum(found.squares, TINY),
+            windows=np.where(active, found.sums / np.maximum(found.weight, TINY), pools.windows),
+            pixels=np.where(
+                active, found.weight**2 / np.maximum(found.squares, TINY), pools.pixels
+            ),
         )
     return pilot
 
@@ -327,7 +333,8 @@ def _square_sums(
 
 def _in_metres(
     pools: Pools,
-    absent: NDArray[np.bool_],
+    doubt: Floats,
+    flags: Mapping[Quality, NDArray[np.bool_]],
     own: Floats,
     frames: NDArray[np.float64] | None,
     calibration: Calibration,
@@ -341,7 +348,7 @@ def _in_metres(
     depth = calibration.distance + pools.delays_ns * along_axis
     deviation_ns = np.sqrt(pools.variances)
     known_ns = calibration.pixel_delay_std_ns / np.sqrt(np.maximum(pools.depth_pixels, 1))
-    depth_std = np.hypot(deviation_ns, known_ns) * along_axis
+    depth_std = np.sqrt(pools.variances + doubt + known_ns**2) * along_axis
     unmixed = unmixed_of(pools.windows, tables.unmixing)
     variance = unmixed_of(pools.windows, tables.unmixing**2) / np.maximum(pools.pixels, 1e-12)
     photons = pools.windows.sum(axis=0).astype(np.float64)
@@ -361,18 +368,17 @@ def _in_metres(
     outside = (pools.delays_ns <= low_ns) | (pools.delays_ns >= high_ns)
     # a reference at the distance 0 does not tell where the camera is
     outside |= (calibration.distance > 0) & (depth <= 0)
-    flags = {
-        Quality.LOW_SIGNAL: ~(deviation_ns < blind_ns),
-        Quality.NO_RETURN: absent,
-        Quality.OUT_OF_RANGE: outside & ~absent,
-    }
+    low_signal = ~(deviation_ns < blind_ns)
+    outside &= ~flags[Quality.NO_RETURN]
+    flags = {Quality.LOW_SIGNAL: low_signal, Quality.OUT_OF_RANGE: outside, **flags}
     for flag, flagged in flags.items():
         quality[calibration.usable & flagged] |= int(flag)
+    unknown = (quality & ~np.uint16(Quality.CONTRADICTED)) != 0
     background = unmixed[-1] * calibration.bin_width_ns / calibration.bins.span_ns
     resolution = np.sqrt(pools.depth_pixels).astype(np.float64)
     background[~calibration.usable | (photons == 0)] = np.nan
     for values in (depth, depth_std, resolution, *reflectance, *reflectance_std):
-        values[quality != 0] = np.nan
+        values[unknown] = np.nan
     return Estimates(
         depth=depth,
         depth_std=depth_std,

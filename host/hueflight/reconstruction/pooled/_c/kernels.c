@@ -64,7 +64,7 @@ typedef struct {
     const float *times, *weights;
 } Photons;
 
-static int cell_of(float time, float delay, float cells_per_ns, int cells)
+INLINE int cell_of(float time, float delay, float cells_per_ns, int cells)
 {
     int cell = (int)floorf((time - delay) * cells_per_ns);
     if ((unsigned)cell < (unsigned)cells) /* nearly always: a division takes longer */
@@ -74,6 +74,7 @@ static int cell_of(float time, float delay, float cells_per_ns, int cells)
 }
 
 /* Log-likelihood of every lag, in whole cells of the table. */
+EVERY_WIDTH
 static void lag_likelihood(const Photons *seen, const float *table, int cells, float cells_per_ns,
                            const int32_t *lags, int count, float *result)
 {
@@ -93,6 +94,7 @@ static void lag_likelihood(const Photons *seen, const float *table, int cells, f
 }
 
 /* Photons in the window of each band at a delay, (slot, pixel). */
+EVERY_WIDTH
 static void windows(const Photons *seen, const float *delays, const int8_t *owners, int cells,
                   float cells_per_ns, int count, float *result)
 {
@@ -106,6 +108,7 @@ static void windows(const Photons *seen, const float *delays, const int8_t *owne
 
 /* Photons of all pixels of a square in the window of each band at the delay of its middle. Photons
  * of pixels that are neighbors in a row follow one another. Result (square, window). */
+EVERY_WIDTH
 static void squares(const Photons *seen, int rows, int cols, const int64_t *pixels,
                     const int32_t *reach, int64_t count, const float *delays, const int8_t *owners,
                     int cells, float cells_per_ns, int each, float *result)
@@ -126,6 +129,7 @@ static void squares(const Photons *seen, int rows, int cols, const int64_t *pixe
 }
 
 /* Derivative of the log-likelihood by the delay and its square's sum, the information. */
+EVERY_WIDTH
 static void scores(const Photons *seen, const float *delays, const float *shares,
                    const float *slopes, int cells, float cells_per_ns, int bands,
                    const float *amplitudes, const float *floors, float *score, float *information)

@@ -16,6 +16,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import clean
+import departures
 import edges
 from _measure import table
 from acceptance import Group, Row
@@ -24,6 +25,7 @@ from acceptance import Group, Row
 GROUPS: dict[str, Group] = {
     "clean": clean.rows,
     "edges": edges.rows,
+    "departures": departures.rows,
 }
 PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
 

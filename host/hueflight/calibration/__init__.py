@@ -5,15 +5,18 @@ the delay of each pixel and its defects.
 """
 
 from hueflight.calibration.calibration import Calibration
+from hueflight.calibration.check import CalibrationCheck, check_calibration
 from hueflight.calibration.procedure import calibrate, measured_widths
 from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
 from hueflight.model.waveforms import Templates
 
 __all__ = [
     "Calibration",
+    "CalibrationCheck",
     "PulseWindow",
     "Templates",
     "calibrate",
+    "check_calibration",
     "find_windows",
     "measured_widths",
     "window_sums",

@@ -15,6 +15,7 @@ from hueflight.errors import HueflightError
 COMMANDS = {
     "calibrate": "Make a calibration from captures of a flat target.",
     "capture": "Record a capture from the camera.",
+    "check": "Check with a new reference capture whether a calibration still holds.",
     "demo": "Redraw the published figures from a simulated instrument, as a page with pictures.",
     "export": "Write an image in a format that other tools open.",
     "info": "Show what a file is, what it holds and whether it is whole.",
@@ -36,6 +37,7 @@ EXIT_CODES = """**Exit codes**
 - 0: The command did what was asked.
 - 1: The command failed or its arguments were wrong; a message on standard error says why.
 - 3: Some data is lost: recover saved what is left, or info found a file damaged or incomplete.
+- 4: check found that a calibration no longer holds.
 - 130: The command was interrupted with Ctrl-C.
 """
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from string import Template
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -22,7 +19,7 @@ from hueflight.model.instrument import Instrument
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.report import figures
 from hueflight.report.experiments import RANGE_PHOTONS, Findings, run_all
-from hueflight.report.style import SETTINGS
+from hueflight.report.page import picture_section, png, style_sheet
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ def make_report(
     make_parent(out / "index.html")
     pictures: dict[str, bytes] = {}
     for section in tracked(SECTIONS, shown, "pictures", len(SECTIONS)):
-        pictures[section.name] = _png(section.draw(findings))
+        pictures[section.name] = png(section.draw(findings))
         replace_file(out / f"{section.name}.png", pictures[section.name])
     numbers = key_numbers(findings)
     replace_file(out / "figures.json", json.dumps(numbers, indent=2) + "\n")
@@ -186,25 +183,15 @@ def key_numbers(findings: Findings) -> dict[str, float]:
     }
 
 
-def _png(figure: Figure) -> bytes:
-    """Contents of a PNG file of a figure."""
-    stream = io.BytesIO()
-    with mpl.rc_context(SETTINGS):
-        figure.savefig(stream, format="png", dpi=110)
-    return stream.getvalue()
-
-
 def _page(findings: Findings, numbers: dict[str, float], pictures: dict[str, bytes]) -> str:
     """Whole HTML page, with the pictures embedded."""
     template = (resources.files("hueflight.report") / "page.html").read_text("utf-8")
     sections = "\n".join(
-        f'<section id="{s.name}"><h2>{html.escape(s.heading)}</h2><p>{html.escape(s.text)}</p>'
-        f'<img alt="{html.escape(s.heading)}" src="data:image/png;base64,'
-        f'{base64.b64encode(pictures[s.name]).decode()}"></section>'
-        for s in SECTIONS
+        picture_section(s.name, s.heading, s.text, pictures[s.name]) for s in SECTIONS
     )
     wire = findings.wire
     return Template(template).substitute(
+        style=style_sheet(),
         version=version("hueflight"),
         frames=findings.main.frames,
         table=_table(numbers),

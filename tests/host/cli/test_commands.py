@@ -118,6 +118,28 @@ def test_captures_calibration_and_image(bench: Path, run) -> None:
     np.testing.assert_array_equal(stored["wavelength"], [630, 525, 450])
 
 
+def test_check_says_whether_a_calibration_holds(bench: Path, run) -> None:
+    for name, seed in (("first", "1"), ("later", "2")):
+        done = run(
+            "simulate", "--capture", "reference", "--instrument", "bench.toml",
+            "--frames", "4000", "--seed", seed, "-o", f"{name}.npz", "--json",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+    assert run("calibrate", "first.npz", "-d", "0.4", "-o", "checked.zarr").code == 0
+    words = ("check", "checked.zarr", "first.npz", "--page", "check.html")
+    same = run(*words, "--json")
+    assert same.code == 0, same.out + same.err
+    assert same.json["holds"]
+    page = (bench / "check.html").read_text()
+    assert "The calibration holds" in page
+    assert page.count("data:image/png;base64,") == 2
+    assert run(*words).code == 1  # the page exists
+    moved = run("check", "checked.zarr", "first.npz", "-d", "0.5")
+    assert moved.code == 4
+    assert "no longer holds" in moved.out
+    assert "-10.0 cm" in moved.out
+
+
 def test_one_led_at_a_time_goes_into_a_calibration(bench: Path, run) -> None:
     for kind, frames in (("reference", 4000), ("bands", 3000), ("dark", 500), ("flat", 20000)):
         done = run(

@@ -7,7 +7,7 @@ pixel alone tells whether its delay and its brightness are still those of the ca
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -403,7 +403,4 @@ def _with_findings(check: CalibrationCheck) -> CalibrationCheck:
     for plane, what in ((check.new_dead, "dead"), (check.new_hot, "hot")):
         if plane.any():
             found.append(f"{int(plane.sum())} pixels have become {what}")
-    return CalibrationCheck(
-        **{name: getattr(check, name) for name in CalibrationCheck.__dataclass_fields__}
-        | {"findings": tuple(found)}
-    )
+    return replace(check, findings=tuple(found))

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from hueflight.cli.output import print_notice, show
-from hueflight.errors import ExportError
 from hueflight.export import FORMATS, write
-from hueflight.export.description import band_names
+from hueflight.files.bands import find_band
 from hueflight.files.image_schema import instrument_of
 from hueflight.importers import read_image
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _ENDINGS = ", ".join(f"{entry.endings[0]} ({entry.summary})" for entry in FORMATS.values())
 
@@ -56,7 +52,8 @@ def export(
         quality; rgb for colours, or three-band for the false colours of the paper. By default
         depth.
     band : str, optional
-        Name or number (from 0) of the band to draw as .png, for a variable that has bands.
+        Band to draw as .png, for a variable that has bands: its name, its number (from 0), or a
+        wavelength such as 532nm, which finds the nearest band.
     limits : tuple of float, optional
         Values at the ends of the colour scale of a .png: two numbers, such as 0.3 1.5. By default
         they follow from the values.
@@ -68,7 +65,7 @@ def export(
     loaded = read_image(image)
     options: dict[str, Any] = {"variable": variable, "limits": limits}
     if band is not None:
-        options["band"] = _band_number(loaded, band)
+        options["band"] = find_band(loaded, band)
     options = {name: value for name, value in options.items() if value is not None}
     cloud = format in ("ply", "las") or out.suffix.lower() in (".ply", ".las")
     described = "instrument_description" in loaded.attrs
@@ -79,16 +76,3 @@ def export(
         )
     written = write(loaded, out, format=format, overwrite=overwrite, **options)
     show(f"Export of {image}", {"files": [str(path) for path in written]}, json_wanted=json)
-
-
-def _band_number(image: xr.Dataset, band: str) -> int:
-    """Position of a band in the image, by its name or its number."""
-    names = band_names(image)
-    if band in names:
-        return names.index(band)
-    if band.isdecimal() and int(band) < image.sizes["band"]:
-        return int(band)
-    raise ExportError(
-        f"--band {band}: the image has no such band; it has {', '.join(names)}, "
-        f"numbers 0 to {image.sizes['band'] - 1}"
-    )

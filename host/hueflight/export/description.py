@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import ExportError
+from hueflight.files.bands import band_names
 from hueflight.files.image_schema import require_image
 
 CONVENTIONS = "CF-1.11"  #: attributes follow the Climate and Forecast metadata conventions
@@ -115,13 +116,6 @@ def with_conventions(image: xr.Dataset) -> xr.Dataset:
             masks = np.asarray(variable.attrs["flag_masks"], dtype=variable.dtype)
             variable.attrs["flag_masks"] = masks
     return polished
-
-
-def band_names(image: xr.Dataset) -> list[str]:
-    """Return the name of each band, or its wavelength if bands have no names."""
-    if "band_name" in image.coords:
-        return [str(name) for name in image["band_name"].values]
-    return [f"{wavelength:g} nm" for wavelength in image["wavelength"].values]
 
 
 def band_widths_nm(image: xr.Dataset) -> NDArray[np.float64] | None:

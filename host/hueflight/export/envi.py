@@ -15,8 +15,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
-from hueflight.export.description import band_names, band_widths_nm, plain_attributes
+from hueflight.export.description import band_widths_nm, plain_attributes
 from hueflight.files import staged
+from hueflight.files.bands import band_names
 from hueflight.files.image_schema import layers, require_image
 
 TYPE_CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint16": 12}

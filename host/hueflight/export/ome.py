@@ -15,9 +15,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hueflight.export.description import band_names, plain_attributes
+from hueflight.export.description import plain_attributes
 from hueflight.export.tiff import CLASSIC_LIMIT, storable
 from hueflight.files import import_optional, staged
+from hueflight.files.bands import band_names
 from hueflight.files.image_schema import SERIES_DIM, captures, require_image
 
 NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"

@@ -10,8 +10,9 @@ import numpy as np
 import xarray as xr
 
 from hueflight.analysis.regions import Region, region_spectra
-from hueflight.export.description import band_names, band_widths_nm, plain_attributes
+from hueflight.export.description import band_widths_nm, plain_attributes
 from hueflight.files import staged
+from hueflight.files.bands import band_names
 from hueflight.files.image_schema import SERIES_DIM, require_image
 
 WHOLE = "whole image"

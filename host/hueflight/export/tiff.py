@@ -12,8 +12,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
-from hueflight.export.description import band_names, band_widths_nm, plain_attributes
+from hueflight.export.description import band_widths_nm, plain_attributes
 from hueflight.files import import_optional, staged
+from hueflight.files.bands import band_names
 from hueflight.files.image_schema import captures, layers, require_image
 
 PAGE_NAME_TAG = 285

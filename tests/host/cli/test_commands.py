@@ -595,7 +595,7 @@ def test_a_picture_of_one_band(measured: Path, run) -> None:
         assert run("export", "image.zarr", f"{band}.png", *words).code == 0
     assert (measured / "green.png").read_bytes() == (measured / "1.png").read_bytes()
     refused = run("export", "image.zarr", "x.png", "--variable", "reflectance", "--band", "pink")
-    assert "--band pink: the image has no such band; it has red, green, blue" in refused.err
+    assert "band 'pink': the image has no such band; it has red, green, blue" in refused.err
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -23,6 +23,7 @@ from hueflight.calibration.store import (
 from hueflight.errors import CalibrationError, InstrumentError
 from hueflight.model.emission import Emission
 from hueflight.model.instrument import Instrument
+from hueflight.model.instrument_text import facts_html
 from hueflight.model.pileup import lost_photons_factor
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.waveforms import Templates
@@ -102,6 +103,40 @@ class Calibration:
     waveform_delay_std_ns: NDArray[np.float64] | None = None
     emission: Emission | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    def facts(self) -> dict[str, Any]:
+        """List what matters of the calibration, for a screen.
+
+        Returns
+        -------
+        dict
+            Instrument, distance, light and defects, as plain values.
+        """
+        delays_ns, known = self.pixel_delay_ns[self.usable], self.pixel_delay_std_ns[self.usable]
+        light = ", ".join(
+            f"{band.name} {value:.3g}"
+            for band, value in zip(self.instrument.bands, self.brightness, strict=True)
+        )
+        made = {
+            key: self.provenance[key] for key in ("created", "software") if key in self.provenance
+        }
+        return {
+            "instrument": f"{self.instrument.name} ({self.instrument.fingerprint()})",
+            "pixels": f"{self.usable.shape[0]} rows, {self.usable.shape[1]} columns; "
+            f"{int(self.dead.sum())} dead, {int(self.hot.sum())} hot",
+            "distance_m": self.distance or "not known",
+            "bins": f"{self.bins.count} of {self.bin_width_ns:g} ns",
+            "pixel_delays_ns": f"over {np.ptp(delays_ns):.3g}, ± {np.median(known):.2g}",
+            f"photons_per_{'capture' if self.frames is None else 'frame'}": light,
+            **made,
+        }
+
+    def __repr__(self) -> str:
+        lines = [f"  {key}: {value}" for key, value in self.facts().items()]
+        return "\n".join([f"<Calibration of {self.instrument.name!r}>", *lines])
+
+    def _repr_html_(self) -> str:
+        return facts_html(f"Calibration of {self.instrument.name}", self.facts())
 
     @property
     def usable(self) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ from hueflight.export.foxglove import write_foxglove
 from hueflight.export.las import write_las
 from hueflight.export.ome import write_ome_tiff
 from hueflight.export.ply import write_ply
-from hueflight.export.preview import write_png, write_previews
+from hueflight.export.preview import write_depth_png, write_png, write_previews
 from hueflight.export.stores import write_netcdf, write_zarr
 from hueflight.export.tables import write_csv
 from hueflight.export.tiff import write_tiff
@@ -70,6 +70,7 @@ FORMATS = {
         Format("ply", (".ply",), write_ply, False, "point cloud for 3-D software"),
         Format("las", (".las",), write_las, False, "point cloud for lidar software"),
         Format("foxglove", (".mcap",), write_foxglove, True, "Foxglove and robotics software"),
+        Format("depth-png", (".depth.png",), write_depth_png, False, "16-bit depth in millimetres"),
         Format("png", (".png",), write_png, False, "one plane with its colour bar"),
         Format("previews", (".previews",), write_previews, False, "a folder of all pictures"),
         Format("csv", (".csv",), write_csv, True, "spectra of regions"),
@@ -145,8 +146,8 @@ def write(
     overwrite : bool
         Whether existing files of these names may be replaced.
     **options : Any
-        Options of the format: `regions` (csv), `variable`, `band`, `limits` (png), `bad_bands`
-        (envi), `instrument` (ply, las, foxglove), `interval_s` (foxglove).
+        Options of the format: `regions` (csv), `variable`, `band` (png, tiff), `limits` (png),
+        `bad_bands` (envi), `instrument` (ply, las, foxglove), `interval_s` (foxglove).
 
     Returns
     -------

@@ -7,6 +7,7 @@ other floating-point planes, one for the quality flags.
 
 from __future__ import annotations
 
+from colorsys import hsv_to_rgb
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -21,6 +22,7 @@ from hueflight.files import import_optional, staged
 from hueflight.files.bands import band_names
 from hueflight.files.image_schema import SERIES_DIM, captures, require_image
 
+VISIBLE_NM = (400.0, 660.0)  #: from violet to red, for the colors of channels
 NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
 PIXEL_TYPES = {"float32": "float", "int32": "int32", "uint32": "uint32", "int16": "int16",
                "uint16": "uint16", "uint8": "uint8"}  # fmt: skip
@@ -77,6 +79,9 @@ def _stacks(image: xr.Dataset) -> list[tuple[str, NDArray[Any], list[dict[str, s
             "Name": f"{name} {wavelength:g} nm",
             "EmissionWavelength": repr(float(wavelength)),
             "EmissionWavelengthUnit": "nm",
+            "ExcitationWavelength": repr(float(wavelength)),
+            "ExcitationWavelengthUnit": "nm",
+            "Color": str(_color(float(wavelength))),
         }
         for name, wavelength in zip(names, wavelengths, strict=True)
     ]
@@ -97,6 +102,16 @@ def _stacks(image: xr.Dataset) -> list[tuple[str, NDArray[Any], list[dict[str, s
         ]
         cubes.append((label, np.stack([plane for _, plane in members], axis=1), channels))
     return cubes
+
+
+def _color(wavelength_nm: float) -> int:
+    """Color of a channel as OME has it: red, green, blue and opacity in a signed 32-bit number."""
+    red, green, blue = 255, 255, 255  # outside the visible range
+    if VISIBLE_NM[0] <= wavelength_nm <= VISIBLE_NM[1]:
+        hue = 0.78 * (VISIBLE_NM[1] - wavelength_nm) / (VISIBLE_NM[1] - VISIBLE_NM[0])
+        red, green, blue = (round(255 * part) for part in hsv_to_rgb(hue, 1, 1))
+    packed = red << 24 | green << 16 | blue << 8 | 255
+    return packed - 2**32 if packed >= 2**31 else packed
 
 
 def _description(

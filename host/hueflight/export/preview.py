@@ -26,6 +26,8 @@ BACKGROUND = (255, 255, 255)
 INK = (32, 32, 32)
 TICKS = 5
 
+LARGEST_MM = 2**16 - 1  #: of a 16-bit depth
+
 
 def write_png(
     image: xr.Dataset,
@@ -75,6 +77,49 @@ def write_png(
         info.add_itxt(key, value)
     with staged(path, overwrite=overwrite) as partial:
         picture.save(partial, format="PNG", pnginfo=info)
+
+
+def write_depth_png(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
+    """Write depth as a 16-bit gray PNG in millimetres, as depth cameras do; 0 is unknown.
+
+    Parameters
+    ----------
+    image : xarray.Dataset
+        One image.
+    path : str or pathlib.Path
+        Name of the file.
+    overwrite : bool
+        Whether an existing file of this name may be replaced.
+
+    Raises
+    ------
+    ImageError
+        If it is not an image.
+    ExportError
+        If the image is a series, or a depth does not lie between 0 and 65.5 m.
+    OutputError
+        If the file exists already or can't be written.
+    """
+    require_image(image)
+    if SERIES_DIM in image.dims:
+        raise ExportError(f"a picture shows one image: select one {SERIES_DIM!r} of the series")
+    depth = image["depth"].transpose("row", "col").values.astype(np.float64)
+    known = np.isfinite(depth)
+    millimetres = np.rint(1e3 * depth[known])
+    if ((millimetres < 1) | (millimetres > LARGEST_MM)).any():
+        raise ExportError(
+            f"depths from {depth[known].min():.3f} to {depth[known].max():.3f} m: 16 bits hold "
+            f"1 mm to {LARGEST_MM / 1e3:.1f} m; write a .tif with variable='depth' instead"
+        )
+    pixels = np.zeros(depth.shape, np.uint16)
+    pixels[known] = millimetres
+    pillow = import_optional("PIL.Image", extra="export")
+    png = import_optional("PIL.PngImagePlugin", extra="export")
+    info = png.PngInfo()
+    for key, value in {**plain_attributes(image), "unit": "mm", "unknown": "0"}.items():
+        info.add_itxt(key, value)
+    with staged(path, overwrite=overwrite) as partial:
+        pillow.fromarray(pixels).save(partial, format="PNG", pnginfo=info)
 
 
 def write_previews(image: xr.Dataset, folder: str | Path, /, *, overwrite: bool = False) -> None:

@@ -21,7 +21,15 @@ PAGE_NAME_TAG = 285
 CLASSIC_LIMIT = 2**32 - 2**25  #: bytes that a classic TIFF can address, minus room for its tags
 
 
-def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
+def write_tiff(
+    image: xr.Dataset,
+    path: str | Path,
+    /,
+    *,
+    variable: str | None = None,
+    band: int | None = None,
+    overwrite: bool = False,
+) -> None:
     """Write an image or series as a multi-page TIFF.
 
     There is one page for each variable, or for each of its bands, as float32; quality flags are
@@ -35,6 +43,10 @@ def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
         Image or series.
     path : str or pathlib.Path
         Name of the file.
+    variable : str, optional
+        Variable to write, such as ``depth``; by default all of them.
+    band : int, optional
+        Index of the band to write, for a variable with one plane per band; by default all of them.
     overwrite : bool
         Whether an existing file of this name may be replaced.
 
@@ -49,7 +61,13 @@ def write_tiff(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
     """
     require_image(image)
     tifffile = import_optional("tifffile", extra="export")
-    pages = list(_pages(image))
+    pages = list(_pages(image, variable, band))
+    if not pages:
+        known = ", ".join(map(str, image.data_vars))
+        raise ExportError(
+            f"variable = {variable!r}, band = {band!r}: there is no such plane; the image has "
+            f"{known}, and {image.sizes['band']} bands from 0"
+        )
     big = sum(plane.nbytes for plane, _, _ in pages) > CLASSIC_LIMIT
     with (
         staged(path, overwrite=overwrite) as partial,
@@ -77,12 +95,16 @@ def storable(plane: NDArray[Any], name: str) -> NDArray[Any]:
     return plane
 
 
-def _pages(image: xr.Dataset) -> Iterator[tuple[NDArray[Any], str, dict[str, Any]]]:
+def _pages(
+    image: xr.Dataset, wanted: str | None, wanted_band: int | None
+) -> Iterator[tuple[NDArray[Any], str, dict[str, Any]]]:
     names, wavelengths = band_names(image), image["wavelength"].values
     widths = band_widths_nm(image)
     first: dict[str, Any] = {"image": plain_attributes(image)}
     for number, single in enumerate(captures(image)):
         for variable, band, plane in layers(single):
+            if wanted not in (None, variable) or wanted_band not in (None, band):
+                continue
             attributes = single[variable].attrs
             about = {"variable": variable, "capture": number, **first}
             title = variable

@@ -77,4 +77,7 @@ def read_image(path: str | Path, /) -> xr.Dataset:
             f"{str(path)!r} can't be read as an image: {reason}. It is damaged, incomplete or "
             "of another format"
         ) from error
+    if "instrument_fingerprint" in image.attrs and "band_name" in image.coords:
+        # images of version 0.1.0 have the names, but not as labels for `sel`
+        image = image.assign_coords(band=image["band_name"].values)
     return image

@@ -95,6 +95,8 @@ def as_image(
             {"units": "nm", "long_name": "peak emission wavelength"},
         ),
         "band_name": ("band", [band.name for band in instrument.bands]),
+        # the same as labels: image.sel(band="green")
+        "band": [band.name for band in instrument.bands],
     }
     if estimates.white_photons is not None:
         share = calibration.brightness / calibration.brightness.sum()

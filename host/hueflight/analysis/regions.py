@@ -24,6 +24,8 @@ UNRELIABLE = (
     | Quality.MISFIT
     | Quality.SKIPPED
     | Quality.MIXED
+    | Quality.CONTRADICTED
+    | Quality.PILED_UP
 )
 
 
@@ -38,7 +40,7 @@ def reliable(image: xr.Dataset, /) -> xr.DataArray:
     Returns
     -------
     DataArray of bool, dims (..., row, col)
-        False where a pixel is dead, hot, saturated, ambiguous, a misfit, skipped or mixed.
+        False where a pixel has a flag of `UNRELIABLE`, such as dead, saturated or mixed.
     """
     return (image["quality"] & int(UNRELIABLE)) == 0
 

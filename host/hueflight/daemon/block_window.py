@@ -5,53 +5,104 @@ from __future__ import annotations
 import weakref
 from collections import deque
 
+import numpy as np
+
 from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.sliding_sum import SlidingSum
 
+PARTS = 10  #: histograms in memory at most, besides their sum
+
 
 class BlockWindow:
-    """Sum of the newest blocks of a run, which gives each block's memory back when it can.
+    """Sum of the newest blocks of a run, whose memory does not grow with its length.
 
-    While LEDs fire one at a time, the sum is of the step that fires now.
+    Up to `PARTS` blocks are kept as they are. A longer window is kept as `PARTS` partial sums; it
+    moves on by a whole part, so that it holds one tenth less or more than its length. While LEDs fire one at a
+    time, the sum is of the step that fires now.
 
     Parameters
     ----------
     length : int
         Blocks in the sum.
+
+    Attributes
+    ----------
+    length : int
+        Blocks in the sum.
+    frames : int
+        Frames in the sum.
     """
 
     def __init__(self, length: int) -> None:
         self.length = length
-        self.frames = 0  #: in the sum
-        self._blocks: deque[LiveBlock] = deque()
-        self._sum = SlidingSum(length)
+        self.frames = 0
+        self._of_part = -(-length // PARTS)  # blocks
+        parts = -(-length // self._of_part)
+        # of a window of parts, the newest one is not complete yet
+        self._sum = SlidingSum(parts if self._of_part == 1 else parts - 1)
+        self._kept: deque[LiveBlock] = deque()  # whose histograms are in the sum
+        self._part: Counts | None = None  # sum of the blocks of the part that is not complete
+        self._part_blocks = self._part_frames = 0
+        self._newest: LiveBlock | None = None
         self._only: Counts | None = None  # the block's own histogram if the length is 1
 
     def add(self, block: LiveBlock) -> None:
-        """Add a block, and drop the oldest one if the window is full."""
+        """Add a block, and drop the oldest ones if the window is full."""
         if self.length == 1:
             self.frames, self._only = block.block.frames, _lent(block)
             return
-        if self._blocks and _sequence(self._blocks[-1]) != _sequence(block):
+        if self._newest is not None and _sequence(self._newest) != _sequence(block):
             self.clear()
-        self._blocks.append(block)
-        if self._sum.add({_step(block): _histogram(block)}, block.block.frames):
-            self._blocks.popleft().give_back()
-        self.frames = self._sum.frames
+        self._newest = block
+        if self._of_part == 1:
+            self._kept.append(block)
+            if self._sum.add({_step(block): _histogram(block)}, block.block.frames):
+                self._kept.popleft().give_back()
+            self.frames = self._sum.frames
+        else:
+            self._add_to_part(block)
+
+    def _add_to_part(self, block: LiveBlock) -> None:
+        self._part_blocks += 1
+        self._part_frames += block.block.frames
+        few = self._part_frames <= np.iinfo(np.uint16).max
+        dtype = np.uint16 if few else np.uint32
+        counts = _histogram(block)
+        if self._part is None:
+            self._part = counts.astype(dtype)
+        else:
+            part = self._part.astype(dtype, copy=False)
+            self._part = np.add(part, counts, out=part, casting="unsafe")
+        step = _step(block)
+        block.give_back()
+        self.frames = self._sum.frames + self._part_frames
+        if self._part_blocks == self._of_part:
+            self._sum.add({step: self._part}, self._part_frames)
+            self._part, self._part_blocks, self._part_frames = None, 0, 0
+            self.frames = self._sum.frames
 
     def clear(self) -> None:
         """Forget all blocks."""
-        self.frames, self._only = 0, None
+        self.frames, self._only, self._newest = 0, None, None
+        self._part, self._part_blocks, self._part_frames = None, 0, 0
         self._sum.clear()
-        while self._blocks:
-            self._blocks.popleft().give_back()
+        while self._kept:
+            self._kept.popleft().give_back()
 
     def histogram(self) -> Counts:
         """Return the sum in an array that later blocks do not change."""
         if self._only is not None:
             return self._only
-        return self._sum.sums[_step(self._blocks[-1])].copy()
+        assert self._newest is not None
+        complete = self._sum.sums.get(_step(self._newest))
+        if self._part is None:
+            assert complete is not None
+            return complete.copy()
+        if complete is None:
+            return self._part.copy()
+        dtype = np.uint16 if self.frames <= np.iinfo(np.uint16).max else np.uint32
+        return np.add(complete, self._part, dtype=dtype, casting="unsafe")
 
 
 def _lent(block: LiveBlock) -> Counts:

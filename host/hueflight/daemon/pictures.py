@@ -15,7 +15,7 @@ from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
-from hueflight.daemon.block_window import BlockWindow
+from hueflight.daemon.block_window import PARTS, BlockWindow
 from hueflight.daemon.incremental_fitter import CHANGE_SIGMA, IncrementalFitter
 from hueflight.daemon.picture import Picture, count_photons
 from hueflight.errors import HueflightError
@@ -116,7 +116,8 @@ class Pictures:
             self._waiting.append(block)
             if len(self._waiting) > 1:
                 self.skipped += 1
-            while len(self._waiting) > self._window.length:  # would drop out of the sum at once
+            # those beyond the window would drop out of the sum at once; each one occupies memory
+            while len(self._waiting) > min(self._window.length, PARTS):
                 self._waiting.popleft().give_back()
             self._changed.notify()
 

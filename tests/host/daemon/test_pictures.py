@@ -124,3 +124,21 @@ def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrumen
     finally:
         pictures.close()
     assert (made[-1].histogram == 120_000).all()
+
+
+@pytest.mark.parametrize("length", [10, 11, 25, 400])
+def test_a_long_window_holds_few_histograms(instrument: hf.Instrument, length: int) -> None:
+    """Its sum is of consecutive newest blocks, as many as asked for to a tenth."""
+    from hueflight.daemon.block_window import PARTS, BlockWindow
+
+    window, source = BlockWindow(length), Source(instrument.histogram_shape)
+    sums = [np.zeros(instrument.histogram_shape, np.int64)]
+    for number in range(2 * length + 7):
+        block = source.block(number)
+        sums.append(sums[-1] + block.block.counts[0])
+        window.add(block)
+        assert number + 1 - len(source.returned) <= PARTS
+        blocks = window.frames // 10
+        part = -(-length // PARTS)
+        assert min(number + 1, length - part) <= blocks < length + part
+        assert np.array_equal(window.histogram(), sums[-1] - sums[-1 - blocks])

@@ -428,14 +428,15 @@ class Client:
         body = {"distance": distance, "frames": frames, "bands": bands, "dark": dark}
         self._requests.ask("POST", "/api/calibration", body)
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        while (found := self.status()["calibration"])["step"] not in ("done", "failed", "idle"):
+        ended = ("done", "failed", "cancelled", "idle")
+        while (found := self.status()["calibration"])["step"] not in ended:
             if deadline is not None and time.monotonic() >= deadline:
                 raise ClientError(
                     f"the calibration was not done within {timeout_s:g} s: {found['message']}"
                 )
             time.sleep(POLL_S)
         if found["step"] != "done":
-            raise ClientError(f"the calibration failed: {found['message']}")
+            raise ClientError(f"there is no new calibration: {found['message']}")
         return found
 
     def pixel(self, row: int, col: int, /) -> dict[str, Any]:

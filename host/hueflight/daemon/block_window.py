@@ -18,8 +18,8 @@ class BlockWindow:
     """Sum of the newest blocks of a run, whose memory does not grow with its length.
 
     Up to `PARTS` blocks are kept as they are. A longer window is kept as `PARTS` partial sums; it
-    moves on by a whole part, so that it holds one tenth less or more than its length. While LEDs fire one at a
-    time, the sum is of the step that fires now.
+    moves on by a whole part, so that it holds one tenth less or more than its length. While LEDs
+    fire one at a time, the sum is of the step that fires now.
 
     Parameters
     ----------

@@ -30,6 +30,7 @@ log = structlog.get_logger("hueflight.daemon")
 CALIBRATION_NAME = "calibration.zarr"
 _COMMAND = "from hueflight.cli import main; main()"
 _WORK_TIMEOUT_S = 1800
+MOST_LOST = 0.01  #: share of the frames of a capture that may be lost
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class CalibrationState:
     Attributes
     ----------
     step : str
-        ``"idle"``, a kind of capture, ``"working"``, ``"done"`` or ``"failed"``.
+        ``"idle"``, a kind of capture, ``"working"``, ``"done"``, ``"failed"`` or ``"cancelled"``.
     message : str
         The same in words.
     path : str
@@ -49,6 +50,29 @@ class CalibrationState:
     step: str = "idle"
     message: str = ""
     path: str = ""
+
+
+@dataclass(frozen=True)
+class CalibrationProgress:
+    """How far the captures of a calibration have come.
+
+    Attributes
+    ----------
+    frames : int
+        Frames taken.
+    of_frames : int
+        Frames of all captures.
+    seconds_left : float or None
+        Time until the last capture ends; None while the calibration is computed.
+    """
+
+    frames: int
+    of_frames: int
+    seconds_left: float | None
+
+
+class CancelledError(CaptureError):
+    """A calibration that was cancelled."""
 
 
 class CalibrationJob:
@@ -62,11 +86,28 @@ class CalibrationJob:
         Folder in which calibrations are kept.
     use : callable
         Called with each finished calibration.
+    check_free : callable
+        Raises a `CaptureError` if the camera is needed for something else.
+
+    Attributes
+    ----------
+    state : CalibrationState
+        Progress in words.
     """
 
     def __init__(
-        self, acquisition: Acquisition, folder: Path, /, use: Callable[[Calibration], None]
+        self,
+        acquisition: Acquisition,
+        folder: Path,
+        /,
+        use: Callable[[Calibration], None],
+        *,
+        check_free: Callable[[], None] = lambda: None,
     ) -> None:
+        self._check_free = check_free
+        self._cancelled = threading.Event()
+        self._future: Future[RunResult] | None = None
+        self._frames_before = self._frames_wanted = 0
         self._acquisition = acquisition
         self._folder = folder
         self._use = use
@@ -118,16 +159,75 @@ class CalibrationJob:
             If a calibration is in progress.
         """
         if not self._busy.acquire(blocking=False):
-            raise CaptureError("a calibration is in progress: wait until it is done")
+            raise CaptureError("a calibration is in progress: wait until it is done, or cancel it")
+        try:
+            self._check_free()
+        except CaptureError:
+            self._busy.release()
+            raise
         kinds: list[CaptureKind] = ["reference"]
         if bands:
             kinds.append("bands")
         if dark:
             kinds.append("dark")
+        self._cancelled.clear()
+        self._frames_before = 0
+        self._frames_wanted = sum(self._limit(kind, frames) for kind in kinds)
         self.state = replace(self.state, step="reference", message="starting")
+        log.info("calibration started", distance=distance, frames=frames, captures=kinds)
         threading.Thread(
             target=self._work, args=(kinds, distance, frames), name="calibrating", daemon=True
         ).start()
+
+    def check_idle(self) -> None:
+        """Refuse to disturb a calibration.
+
+        Raises
+        ------
+        CaptureError
+            If a calibration is in progress.
+        """
+        if self._busy.locked():
+            raise CaptureError("a calibration is in progress: wait until it is done, or cancel it")
+
+    def progress(self) -> CalibrationProgress | None:
+        """Return how far the captures have come.
+
+        Returns
+        -------
+        CalibrationProgress or None
+            None if no calibration is in progress.
+        """
+        if not self._busy.locked():
+            return None
+        snapshot = self._acquisition.snapshot
+        future = self._future
+        present = 0
+        if future is not None and not future.done() and snapshot.kind == self.state.step:
+            present = snapshot.run_frames
+        frames = min(self._frames_before + present, self._frames_wanted)
+        rate_hz = self._acquisition.settings.rate_hz
+        seconds = (self._frames_wanted - frames) / rate_hz
+        working = self.state.step == "working"
+        return CalibrationProgress(frames, self._frames_wanted, None if working else seconds)
+
+    def cancel(self) -> None:
+        """Cancel the calibration in progress; the one in use stays in use.
+
+        Raises
+        ------
+        CaptureError
+            If no calibration is in progress.
+        """
+        if not self._busy.locked():
+            raise CaptureError("no calibration is in progress")
+        self._cancelled.set()
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.terminate()
+
+    def _limit(self, kind: CaptureKind, frames: int) -> int:
+        return RunPlan(kind=kind, frames=frames).frame_limit(self._acquisition.instrument)
 
     def close(self) -> None:
         """Abandon a calibration that is in progress."""
@@ -138,10 +238,19 @@ class CalibrationJob:
 
     def _work(self, kinds: list[CaptureKind], distance: float, frames: int) -> None:
         try:
-            path = self._make(kinds, distance, frames)
+            path, lost = self._make(kinds, distance, frames)
             self._use(Calibration.load(path))
-            self.state = CalibrationState("done", f"calibrated at {distance} m", str(path))
+            message = f"calibrated at {distance} m"
+            if lost:
+                message += f"; {lost} of {self._frames_wanted} frames were lost"
+            self.state = CalibrationState("done", message, str(path))
+            log.info("calibration done", path=str(path), frames_lost=lost)
+        except CancelledError:
+            kept = "the earlier one stays in use" if self.state.path else "there is none in use"
+            self.state = replace(self.state, step="cancelled", message=f"cancelled: {kept}")
+            log.info("calibration cancelled")
         except HueflightError as error:
+            log.error("calibration failed", reason=str(error))
             self.state = replace(self.state, step="failed", message=str(error))
         except (OSError, subprocess.SubprocessError) as error:
             self.state = replace(
@@ -154,27 +263,56 @@ class CalibrationJob:
         finally:
             self._busy.release()
 
-    def _make(self, kinds: list[CaptureKind], distance: float, frames: int) -> Path:
+    def _make(self, kinds: list[CaptureKind], distance: float, frames: int) -> tuple[Path, int]:
+        """Take the captures and compute the calibration; its path, and the frames lost."""
         folder = self._folder / timestamp_name()
         captures: dict[str, Path] = {}
+        lost = 0
         for kind in kinds:
+            self._check_cancelled()
             self.state = replace(self.state, step=kind, message=f"taking capture {kind!r}")
             path = folder / f"{kind}.mcap"
             plan = RunPlan(
                 kind=kind, frames=frames, path=path, metadata={"distance_m": str(distance)}
             )
-            result = self._wait(self._acquisition.run(plan))
+            self._future = self._acquisition.run(plan)
+            result = self._wait(self._future)
+            self._check_cancelled()
             if result.failure:
                 raise CaptureError(f"capture {kind!r} was interrupted: {result.failure}")
+            lost += self._count_lost(kind, self._limit(kind, frames), result)
+            self._frames_before += self._limit(kind, frames)
+            log.info("capture of a calibration taken", kind=kind, frames=result.recorded_frames)
             captures[kind] = path
         self.state = replace(self.state, step="working", message="computing the calibration")
         self._calibrate(captures, distance, folder / CALIBRATION_NAME)
-        return folder / CALIBRATION_NAME
+        return folder / CALIBRATION_NAME, lost
+
+    @staticmethod
+    def _count_lost(kind: CaptureKind, wanted: int, result: RunResult) -> int:
+        """Frames that are missing from a capture, which must be few."""
+        lost = wanted - result.recorded_frames
+        if lost > MOST_LOST * wanted:
+            raise CaptureError(
+                f"capture {kind!r} has {result.recorded_frames} of {wanted} frames: it was ended "
+                "early, or the link or the disk lost them; calibrate again"
+            )
+        return max(0, lost)
+
+    def _check_cancelled(self) -> None:
+        if self._cancelled.is_set():
+            raise CancelledError("the calibration was cancelled")
 
     def _wait(self, future: Future[RunResult]) -> RunResult:
+        stopped = False
         while not self._closing:
+            if self._cancelled.is_set() and not stopped:
+                if future.cancel():
+                    raise CancelledError("the calibration was cancelled")
+                self._acquisition.stop()
+                stopped = True
             try:
-                return future.result(timeout=0.5)
+                return future.result(timeout=0.2)
             except TimeoutError:
                 continue
         raise CaptureError("the daemon is shutting down")
@@ -193,8 +331,11 @@ class CalibrationJob:
             text=True,
             env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
+        if self._cancelled.is_set():  # meanwhile
+            self._process.terminate()
         os.setpriority(os.PRIO_PROCESS, self._process.pid, ThreadPriority.CALIBRATION.niceness)
         output, errors = self._process.communicate(timeout=_WORK_TIMEOUT_S)
+        self._check_cancelled()
         if self._process.returncode:
             raise CaptureError(
                 errors.strip()

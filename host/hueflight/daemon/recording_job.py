@@ -36,6 +36,8 @@ class RecordingJob:
         Returns the calibration in use, or None.
     on_ended : callable
         Called with the name of each recording that has ended.
+    check_free : callable
+        Raises a `CaptureError` if the camera is needed for something else.
 
     Attributes
     ----------
@@ -52,12 +54,14 @@ class RecordingJob:
         daemon_name: str,
         calibration: Callable[[], Calibration | None],
         on_ended: Callable[[str], None] = lambda _: None,
+        check_free: Callable[[], None] = lambda: None,
     ) -> None:
         self._acquisition = acquisition
         self._folder = folder
         self._daemon_name = daemon_name
         self._calibration = calibration
         self._on_ended = on_ended
+        self._check_free = check_free
         self._lock = threading.Lock()
         self._name = ""
         self._future: Future[RunResult] | None = None
@@ -111,6 +115,7 @@ class RecordingJob:
         with self._lock:
             if self._name:
                 raise CaptureError(f"recording {self._name!r} is in progress: end it first")
+            self._check_free()
             calibration = self._calibration()
             if until is not None and calibration is None:
                 raise CaptureError(
@@ -136,6 +141,17 @@ class RecordingJob:
         future = self._future = self._acquisition.run(plan)
         future.add_done_callback(lambda done: self._ended(name, done))
         return name
+
+    def check_idle(self) -> None:
+        """Refuse to disturb a recording.
+
+        Raises
+        ------
+        CaptureError
+            If a recording is in progress.
+        """
+        if self._name:
+            raise CaptureError(f"recording {self._name!r} is in progress: end it first")
 
     def end(self) -> str:
         """End the recording in progress.

@@ -136,9 +136,13 @@ class Service:
             daemon_name=config.name,
             calibration=lambda: self.pictures.calibration,
             on_ended=self.finisher.finish,
+            check_free=lambda: self.calibration_job.check_idle(),
         )
         self.calibration_job = CalibrationJob(
-            self.acquisition, config.folder / "calibrations", use=self._use
+            self.acquisition,
+            config.folder / "calibrations",
+            use=self._use,
+            check_free=self.recording_job.check_idle,
         )
         self.calibration_job.load_latest(instrument)
 
@@ -154,11 +158,25 @@ class Service:
         self.pictures.calibration = calibration
 
     def start(self) -> None:
-        """Start the live run."""
+        """Start the live run.
+
+        Raises
+        ------
+        CaptureError
+            If a calibration is in progress.
+        """
+        self.calibration_job.check_idle()
         self.acquisition.set_live(LIVE)
 
     def stop(self) -> None:
-        """End the present run, and stay idle."""
+        """End the present run, and stay idle.
+
+        Raises
+        ------
+        CaptureError
+            If a calibration is in progress, whose captures must not end early.
+        """
+        self.calibration_job.check_idle()
         self.acquisition.set_live(None)
         self.acquisition.stop()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from hueflight.acquisition.plan import Gap
@@ -67,11 +68,13 @@ def picture_status(pictures: Pictures, /, *, now_s: float, stale_after_s: float)
 
 def calibration_status(job: CalibrationJob, /, *, calibrated: bool) -> dict[str, Any]:
     """Return progress of a calibration, and whether pictures are calibrated."""
+    progress = job.progress()
     return {
         "step": job.state.step,
         "message": job.state.message,
         "path": job.state.path,
         "calibrated": calibrated,
+        "progress": None if progress is None else asdict(progress),
     }
 
 

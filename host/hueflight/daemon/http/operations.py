@@ -204,6 +204,11 @@ def _calibrate(service: Service, body: CalibrateBody) -> dict[str, Any]:
     return {"step": job.state.step}
 
 
+def _cancel_calibration(service: Service, _: None) -> dict[str, Any]:
+    service.calibration_job.cancel()
+    return {"step": service.calibration_job.state.step}
+
+
 def _pixel(service: Service, query: PixelQuery) -> dict[str, Any]:
     pictures = service.pictures
     return inspect(
@@ -228,7 +233,15 @@ OPERATIONS: tuple[Operation, ...] = (
         "Bands, geometry and period of the instrument.",
         _instrument,
     ),
-    Operation("POST", "/api/start", "start", "Start the live run", "State before the run.", _start),
+    Operation(
+        "POST",
+        "/api/start",
+        "start",
+        "Start the live run",
+        "State before the run.",
+        _start,
+        conflicts=True,
+    ),
     Operation(
         "POST",
         "/api/stop",
@@ -236,6 +249,7 @@ OPERATIONS: tuple[Operation, ...] = (
         "End the present run and stay idle",
         "State before the run has ended.",
         _stop,
+        conflicts=True,
     ),
     Operation(
         "POST",
@@ -272,6 +286,15 @@ OPERATIONS: tuple[Operation, ...] = (
         "First step of the calibration; the status shows its progress.",
         _calibrate,
         body=CalibrateBody,
+        conflicts=True,
+    ),
+    Operation(
+        "POST",
+        "/api/calibration/cancel",
+        "cancel_calibration",
+        "Cancel the calibration in progress; the one in use stays in use",
+        "Step that was cancelled.",
+        _cancel_calibration,
         conflicts=True,
     ),
     Operation(

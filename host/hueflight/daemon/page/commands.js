@@ -27,6 +27,8 @@ async function send(path, body) {
   }
 }
 
+const isCalibrating = () => Boolean(state.status?.calibration.progress);
+
 /** Commands by the id of their button. */
 export const commands = {
   run: () => send(state.status?.state === "idle" ? "/api/start" : "/api/stop"),
@@ -35,7 +37,12 @@ export const commands = {
     const answer = await (recording ? send("/api/recordings/stop") : send("/api/recordings", {}));
     if (answer) showMessage(recording ? `Ending recording ${answer.name}.` : `Recording ${answer.name}.`);
   },
-  calibrate: () => $("calibrate-dialog").showModal(),
+  calibrate: async () => {
+    if (!isCalibrating()) $("calibrate-dialog").showModal();
+    else if (confirm("Cancel the calibration? The earlier one stays in use.")) {
+      await send("/api/calibration/cancel");
+    }
+  },
   theme: () => {
     const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
     chooseTheme(theme);
@@ -72,8 +79,8 @@ export function showButtons() {
   $("run").lastElementChild.textContent = running ? "Stop" : "Start";
   $("record").lastElementChild.textContent = status.recording.name ? "End recording" : "Record";
   $("record").classList.toggle("on", Boolean(status.recording.name));
-  const busy = !["idle", "done", "failed"].includes(status.calibration.step);
-  $("calibrate").lastElementChild.textContent = busy ? "Calibrating" : "Calibrate";
+  const busy = isCalibrating();
+  $("calibrate").lastElementChild.textContent = busy ? "Cancel calibration" : "Calibrate";
   for (const name of ["run", "record", "calibrate"]) $(name).disabled = !connected;
-  $("calibrate").disabled ||= busy;
+  for (const name of ["run", "record"]) $(name).disabled ||= busy;
 }

@@ -27,7 +27,11 @@ export function showFacts(status) {
   const places = Object.entries(lost);
   const all = places.reduce((sum, [, n]) => sum + n, 0);
   set("f-lost", places.map(([place, n]) => `${place} ${n.toLocaleString("en")}`).join(" · "), all ? "bad" : "good");
-  set("f-calibration", calibration.message || (calibration.calibrated ? "in use" : "none: photons only"),
+  const { progress } = calibration;
+  const left = progress?.seconds_left;
+  const share = progress ? `: ${Math.floor((100 * progress.frames) / progress.of_frames)} % of the frames` : "";
+  const wait = left ? `, ${Math.ceil(left)} s left` : "";
+  set("f-calibration", (calibration.message && calibration.message + share + wait) || (calibration.calibrated ? "in use" : "none: photons only"),
     calibration.step === "failed" ? "bad" : "");
   const waiting = recording.queue_bytes || link.queue_bytes;
   const disk = recording.name

@@ -278,3 +278,30 @@ def test_pages_of_other_sites_do_not_spend_the_budget_of_the_user(open_daemon: O
         assert answers[0] == 403
         assert answers.count(429) >= 15
         assert client.get("/api/status").status_code == 200
+
+
+def test_a_calibration_is_not_disturbed_and_can_be_cancelled(client: TestClient) -> None:
+    until(lambda: status(client)["state"] == "running", "the live run is on")
+    wish = {"distance": 0.4, "frames": 1_000_000}
+    assert client.post("/api/calibration", json=wish).status_code == 200
+    until(lambda: status(client)["kind"] == "reference", "the first capture is taken")
+    until(lambda: status(client)["calibration"]["progress"]["frames"] > 100, "frames are taken")
+    progress = status(client)["calibration"]["progress"]
+    bands = len(client.get("/api/instrument").json()["bands"])
+    assert progress["of_frames"] == 1_000_000 * (1 + bands)
+    left = (progress["of_frames"] - progress["frames"]) / 2000.0
+    assert progress["seconds_left"] == pytest.approx(left)
+    for path, body in (
+        ("/api/recordings", {}), ("/api/stop", None), ("/api/start", None),
+        ("/api/calibration", wish),
+    ):  # fmt: skip
+        answer = client.post(path, json=body)
+        assert answer.status_code == 409, path
+        assert "a calibration is in progress" in answer.json()["error"]
+    assert client.post("/api/calibration/cancel").status_code == 200
+    until(lambda: status(client)["calibration"]["step"] == "cancelled", "it is cancelled")
+    until(lambda: status(client)["calibration"]["progress"] is None, "it is over")
+    assert "none in use" in status(client)["calibration"]["message"]
+    assert client.post("/api/calibration/cancel").status_code == 409
+    assert client.post("/api/recordings", json={"name": "next"}).status_code == 200
+    assert client.post("/api/calibration", json=wish).status_code == 409

@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import clean
 import departures
 import edges
+import returns
 from _measure import table
 from acceptance import Group, Row
 
@@ -26,6 +27,7 @@ GROUPS: dict[str, Group] = {
     "clean": clean.rows,
     "edges": edges.rows,
     "departures": departures.rows,
+    "returns": returns.rows,
 }
 PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
 

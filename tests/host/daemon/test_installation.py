@@ -104,3 +104,26 @@ def test_systemd_reads_the_unit(tmp_path: Path) -> None:
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert "whenever" in spoiled.stderr  # the check does look at it
+
+
+def test_the_unit_confines_the_daemon() -> None:
+    """The exposure that systemd computes is at most 3 of 10; without its restrictions it is not."""
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("systemd-analyze is not installed")
+    command = [analyze, "security", "--offline=true", "--threshold=30", "--no-pager"]
+    done = subprocess.run([*command, str(UNIT)], capture_output=True, text=True, timeout=60)
+    if "unrecognized option" in done.stderr:
+        pytest.skip("systemd-analyze is not installed in a version with offline security")
+    assert done.returncode == 0, done.stdout[-300:]
+    assert "Overall exposure level" in done.stdout
+
+
+def test_systemd_waits_for_the_daemon_and_watches_it() -> None:
+    """The daemon speaks sd_notify; the watchdog's patience is longer than one step of a run."""
+    from hueflight.acquisition.runner import PATIENCE_S
+    from hueflight.acquisition.states import State
+
+    found = dict(re.findall(r"^(\w+)=(\S+)$", UNIT.read_text(), re.M))
+    assert found["Type"] == "notify"
+    assert int(found["WatchdogSec"]) > PATIENCE_S[State.RUNNING]

@@ -96,7 +96,7 @@ def normalized_difference(
     return xr.Dataset(
         {
             "index": ((a - b) / total).assign_attrs(units="1", long_name=text),
-            "index_std": (2 * np.hypot(b * a_std, a * b_std) / total**2).assign_attrs(
+            "index_std": (2 * ((b * a_std) ** 2 + (a * b_std) ** 2) ** 0.5 / total**2).assign_attrs(
                 units="1", long_name="standard deviation of index"
             ),
         }

@@ -16,6 +16,7 @@ from hueflight.model.time_bins import TimeBins
 WINDOW_FLOOR = 0.02  #: a window ends where the pulse has fallen to this share of its peak
 SMOOTHING_BINS = 1.5  #: σ of the smoothing before peaks are looked for
 NOISE_MARGIN = 5.0  #: a pulse stands this many standard deviations above nothing
+FAR_M = 5.0  #: distance from which other units than meters are thought of
 LEAST_MODULATION = 0.2  #: share of the reference's light that must stand above its floor
 
 
@@ -116,8 +117,72 @@ def find_windows(
     )
     shift = _train_shift(smooth, instrument, bins, distance=distance)
     visible = np.where(smooth > NOISE_MARGIN * noise, smooth, 0.0)
+    _require_meters(smooth, instrument, bins, distance, shift)
+    _require_no_reflection(visible, instrument, bins, distance, shift)
     peaks = _pulse_peaks(visible, instrument, bins, distance=distance, shift=shift)
     return _separated([PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins)
+
+
+def _tolerance_bins(instrument: Instrument, bins: TimeBins) -> int:
+    """Bins by which a pulse may miss its place and still be where the description expects it."""
+    shortest_ns = min(band.pulse_fwhm_ns for band in instrument.bands)
+    return max(2, round(shortest_ns / 2 / (bins.span_ns / bins.count)))
+
+
+def _require_meters(
+    light: NDArray[np.float64],
+    instrument: Instrument,
+    bins: TimeBins,
+    distance: float,
+    shift: int,
+) -> None:
+    """Refuse a distance whose hundredth or thousandth explains when the pulses arrive."""
+    near = _tolerance_bins(instrument, bins)
+    if distance < FAR_M or abs(shift) <= near:
+        return
+    for unit, factor in (("centimeters", 100), ("millimeters", 1000)):
+        guess = distance / factor
+        if abs(_train_shift(light, instrument, bins, distance=guess)) <= near:
+            raise CalibrationError(
+                f"distance = {distance!r}: the pulses arrive when a target at {guess:g} m would "
+                f"return them. Distances are in meters: if these are {unit}, give {guess:g}"
+            )
+
+
+def _require_no_reflection(
+    visible: NDArray[np.float64],
+    instrument: Instrument,
+    bins: TimeBins,
+    distance: float,
+    shift: int,
+) -> None:
+    """Refuse a reference with stronger light elsewhere than where its pulses are due and seen."""
+    near = _tolerance_bins(instrument, bins)
+    if abs(shift) <= near:
+        return
+    places = []
+    for band in range(len(instrument.bands)):
+        for pulse in instrument.pulses(band):
+            time_ns = pulse.center_ns + pulse.tail_ns / 2 + 2 * distance / SPEED_OF_LIGHT_M_PER_NS
+            if bins.period_ns is not None:
+                time_ns %= bins.period_ns
+            middle = int(np.searchsorted(bins.edges_ns, time_ns) - 1)
+            around = np.arange(middle - near - 1, middle + near + 2)
+            if bins.period_ns is None and not (around[0] >= 0 and around[-1] < bins.count):
+                return
+            seen = visible[around % bins.count]
+            if seen.max() <= 2 * max(seen[0], seen[-1]):
+                return  # no pulse there: the latency differs from the description
+            places.append(time_ns)
+    strongest = bins.centers_ns[
+        (np.searchsorted(bins.edges_ns, places[0]) - 1 + shift) % bins.count
+    ]
+    raise CalibrationError(
+        f"the reference shows pulses where they are due, the first at {places[0]:.1f} ns, and "
+        f"stronger light at {strongest:.1f} ns: a fixed reflection, as of a cover glass. It would "
+        "be taken for the target. Block it, or capture the same without a target and subtract "
+        "those counts from reference and scene"
+    )
 
 
 def _train_shift(

@@ -6,6 +6,8 @@ import pytest
 
 import hueflight as hf
 from hueflight.calibration import PulseWindow, window_sums
+from hueflight.errors import CalibrationError
+from hueflight.model.pulses import Pulse
 
 
 def with_bands(instrument, delays_ns, **changes):
@@ -80,3 +82,36 @@ def test_latency_that_differs_from_the_instrument_file(small, draw):
     image = hf.reconstruct(counts, calibration, method="paper", range_correction=False)
     assert float(image.depth.mean()) == pytest.approx(0.9, abs=0.02)
     assert image.reflectance.mean(("row", "col")).values == pytest.approx(0.25, rel=0.05)
+
+
+def test_centimeters_for_meters(small, draw):
+    instrument = small()
+    counts = draw(instrument, depth=0.4, photons=5000)
+    for wrong in (40.0, 400.0):
+        with pytest.raises(CalibrationError, match=r"in meters: .* give 0\.4"):
+            hf.calibrate(counts, instrument, distance=wrong)
+    assert hf.calibrate(counts, instrument, distance=0.4).distance == 0.4
+
+
+def test_fixed_reflection_stronger_than_the_target(small):
+    """A cover glass at 2 ns, the target where the description expects it, at 8.7 ns."""
+    plain = small("paper", rows=8, cols=8)
+    sensor = msgspec.structs.replace(
+        plain.sensor, code_bits=6, bin_width_ns=0.6, direction="forward", code_zero="bin"
+    )
+    band = msgspec.structs.replace(
+        plain.bands[0], delay_ns=2.0, pulse_fwhm_ns=1.5, pulse_tail_ns=0.0
+    )
+    timing = msgspec.structs.replace(plain.timing, period_ns=None, latency_ns=0.0)
+    instrument = plain.replace(sensor=sensor, bands=(band,), timing=timing)
+    edges = instrument.time_bins().edges_ns
+
+    def counts(reflection):
+        target = Pulse(2.0 + 2 * 1.0 / 0.299792458, 1.5 / 2.355, 0.0).share(edges, None)
+        glass = Pulse(2.1, 1.5 / 2.355, 0.0).share(edges, None)
+        mean = 2000 * target + reflection * glass + 2
+        return np.random.default_rng(1).poisson(mean, instrument.histogram_shape)
+
+    with pytest.raises(CalibrationError, match=r"due, the first at 8\.7 ns.*a fixed reflection"):
+        hf.calibrate(counts(3000), instrument, distance=1.0)
+    hf.calibrate(counts(0), instrument, distance=1.0)

@@ -404,7 +404,7 @@ def sample_pixels(
         rates = photons_per_period(
             prepared.photons[chosen], exposures[chosen], calibration.instrument
         )
-    counts = coates_correction(light[numbers].astype(np.float64), rates)
+    counts = np.asarray(coates_correction(light[numbers], rates), np.float64)
     fine, wide, edges = _grouping(tables, calibration.bins.edges_ns)
     fine_counts = summed(counts, fine)
     offsets = calibration.pixel_delay_ns[chosen]
@@ -485,8 +485,9 @@ class _Solution:
         if bands > 1:
             found.append(self._suspect("delay", "ps", tuple(names), delays, 1e3))
         found.append(self._suspect("width", "1", tuple(names), delays + bands))
-        found.append(self._suspect("background slope", "1", ("",), [2 * bands]))
-        tails = [2 * bands + 1 + i for i in range(len(model.tails_ns))]
+        slope = np.array([2 * bands])
+        found.append(self._suspect("background slope", "1", ("",), slope))
+        tails = slope[0] + 1 + np.arange(len(model.tails_ns))
         labels = tuple(f"{mean_ns:g} ns" for mean_ns in model.tails_ns)
         found.append(self._suspect("tail", "1", labels, tails))
         for name, constants in (("background decay", model.decays_ns), ("flare", model.flares_ns)):
@@ -500,7 +501,7 @@ class _Solution:
         name: str,
         unit: str,
         labels: tuple[str, ...],
-        numbers: NDArray[np.intp] | list[int],
+        numbers: NDArray[np.intp],
         factor: float = 1.0,
     ) -> Suspect:
         sizes, covariance = self.sizes[numbers], self.covariance[np.ix_(numbers, numbers)]

@@ -11,6 +11,7 @@ from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
+    InfoMetricFamily,
     Metric,
 )
 from prometheus_client.registry import Collector
@@ -40,6 +41,8 @@ class _Status(Collector):
 
     def collect(self) -> Iterator[Metric]:
         status = self._service.status()
+        facts = {"name": status["name"], "instrument": status["instrument"]}
+        yield InfoMetricFamily("hueflight", "The daemon and its instrument", value=facts)
         yield from _counters(status)
         yield from _gauges(status)
         cpu = CounterMetricFamily(

@@ -64,6 +64,26 @@ def check_histogram(
     return array
 
 
+def as_native(counts: ArrayLike) -> NDArray[Any]:
+    """Convert counts to an array that compiled kernels can read, which few have to be copied for.
+
+    Parameters
+    ----------
+    counts : array_like
+        Counts in any byte order and alignment.
+
+    Returns
+    -------
+    ndarray
+        The counts, aligned and in the byte order of the machine.
+    """
+    array = np.require(counts, requirements="A")
+    if array.dtype.kind not in "uif":
+        return array
+    native = array.dtype.newbyteorder("=")
+    return array.view(native) if array.dtype.isnative else array.astype(native)
+
+
 def frames_per_pixel(
     counts: NDArray[Any], instrument: Instrument, frames: ArrayLike | None
 ) -> NDArray[np.float64] | None:

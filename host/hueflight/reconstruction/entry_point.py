@@ -15,13 +15,15 @@ from hueflight.errors import HistogramError, HueflightError
 from hueflight.ingest import IngestReport, accumulate
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.kernels import Buffer
+from hueflight.memory import require_memory
 from hueflight.model.background_shape import FLAT, BackgroundShape
+from hueflight.model.histograms import as_native
 from hueflight.reconstruction import joint
 from hueflight.reconstruction.departures import find_background
 from hueflight.reconstruction.image import as_image
 from hueflight.reconstruction.image_check import MOST_PIXELS, state_background, trusted
 from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
-from hueflight.reconstruction.methods import METHODS, check_options, find_method
+from hueflight.reconstruction.methods import METHODS, Estimator, check_options, find_method
 from hueflight.reconstruction.options import (
     DEFAULT_SKIPS,
     EstimatorOptions,
@@ -34,12 +36,21 @@ from hueflight.reconstruction.options import (
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import resolve
 from hueflight.reconstruction.separation import lens_angle
+from hueflight.reconstruction.stored_counts import (
+    BLOCK_BYTES,
+    StoredArray,
+    StoredCounts,
+    is_stored,
+)
 
 __all__ = ["METHODS", "reconstruct", "reconstruct_packets"]
 
+BYTES_PER_PIXEL = 250  #: of memory that the results of a pixel take on their way, measured,
+BYTES_PER_BAND = 100  #: and of each of its bands
+
 
 def reconstruct(
-    histogram: ArrayLike,
+    histogram: ArrayLike | StoredArray,
     calibration: Calibration,
     /,
     *,
@@ -60,7 +71,8 @@ def reconstruct(
     Parameters
     ----------
     histogram : array_like, shape (row, col, code)
-        Counts, raw codes on the last axis.
+        Counts, raw codes on the last axis. Arrays of Zarr, HDF5 or dask and memory-mapped files
+        stay on disk: ``"joint"`` reads them twice, in blocks of rows.
     calibration : Calibration
         Calibration of the same instrument.
     method : str
@@ -112,13 +124,16 @@ def reconstruct(
     HistogramError
         If the histogram does not fit the calibration's instrument or is empty, or if there is no
         such method, region or band.
+    MemoryLimitError
+        If the work would take more memory than `hueflight.memory.limit_bytes`.
     HueflightError
         If the method can't take an option into account, or range correction is asked for and the
         distance of the reference is not known, or mixed pixels are asked for and the instrument
         has no lens.
     """
     estimator = find_method(method)
-    prepared = prepare_histogram(histogram, calibration, frames)
+    given = _in_memory_or_stored(histogram, calibration, estimator)
+    prepared = prepare_histogram(given, calibration, frames)
     wanted = region_mask(region, calibration.instrument.image_shape)
     numbers = band_numbers(bands, calibration)
     corrected = resolve(range_correction, calibration, honors=estimator.honors)
@@ -177,6 +192,31 @@ def _finds_mixed(wanted: bool | None, calibration: Calibration, *, honors: froze
     if wanted is None:
         return "mixed" in honors and calibration.instrument.lens is not None
     return wanted
+
+
+def _in_memory_or_stored(
+    histogram: ArrayLike | StoredArray, calibration: Calibration, method: Estimator
+) -> ArrayLike | StoredCounts:
+    """Counts on disk as the method reads them, after a check of the memory that this takes."""
+    instrument = calibration.instrument
+    pixels, bands = int(np.prod(instrument.image_shape)), len(instrument.bands)
+    needed = pixels * (BYTES_PER_PIXEL + BYTES_PER_BAND * bands)
+    stored = None
+    if is_stored(histogram):
+        stored = StoredCounts(histogram, calibration.bins)
+        if getattr(method, "reads_stored", False):
+            needed += 3 * BLOCK_BYTES
+        else:
+            needed += float(np.prod(histogram.shape)) * (stored.dtype.itemsize + 4)
+    require_memory(
+        needed,
+        f"the reconstruction of {pixels} pixels with {bands} bands",
+        advice="Reconstruct with method='joint', which reads counts on disk in blocks, or a part "
+        "of the sensor that is described as an instrument of its own",
+    )
+    if stored is None or getattr(method, "reads_stored", False):
+        return histogram if stored is None else stored  # pyright: ignore[reportReturnType]
+    return as_native(stored.source[:])
 
 
 def reconstruct_packets(

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
+from hueflight.errors import HistogramError
 from hueflight.fit.solver import COUNT_TYPES, survey
-from hueflight.model.histograms import check_histogram, counters_full, frames_per_pixel
+from hueflight.model.histograms import as_native, check_histogram, counters_full, frames_per_pixel
+from hueflight.reconstruction.stored_counts import StoredCounts
 
 
 @dataclass(frozen=True)
@@ -19,10 +21,11 @@ class PreparedHistogram:
 
     Attributes
     ----------
-    counts : ndarray, shape (row, col, code)
+    counts : ndarray or StoredArray, shape (row, col, code)
         The histogram itself, raw codes on the last axis.
-    light : ndarray of uint16, uint32 or float32, shape (row, col, bin)
-        The same counts in time order, without codes that stand for no photon.
+    light : ndarray of uint16, uint32 or float32, or StoredCounts, shape (row, col, bin)
+        The same counts in time order, without codes that stand for no photon. They stay on disk
+        where the method says that it `reads_stored` counts.
     photons : ndarray of float64, shape (row, col)
         Sums of `light`.
     exposures : ndarray of float64, shape (row, col), or None
@@ -31,22 +34,22 @@ class PreparedHistogram:
         True where a counter is at the end of its type.
     """
 
-    counts: NDArray[Any]
-    light: NDArray[Any]
+    counts: Any
+    light: Any
     photons: NDArray[np.float64]
     exposures: NDArray[np.float64] | None
     full: NDArray[np.bool_]
 
 
 def prepare_histogram(
-    histogram: ArrayLike, calibration: Calibration, frames: ArrayLike | None
+    histogram: ArrayLike | StoredCounts, calibration: Calibration, frames: ArrayLike | None
 ) -> PreparedHistogram:
     """Check a histogram and prepare it.
 
     Parameters
     ----------
-    histogram : array_like, shape (row, col, code)
-        Counts, raw codes on the last axis.
+    histogram : array_like or StoredCounts, shape (row, col, code)
+        Counts, raw codes on the last axis. Stored counts stay on disk and are surveyed in blocks.
     calibration : Calibration
         Calibration of the same instrument.
     frames : array_like, shape (row, col), or float, optional
@@ -64,7 +67,9 @@ def prepare_histogram(
         If it does not fit the calibration's instrument, or is empty.
     """
     instrument = calibration.instrument
-    counts = np.asarray(histogram)
+    if isinstance(histogram, StoredCounts):
+        return _prepare_stored(histogram, calibration, frames)
+    counts = as_native(histogram)
     if counts.shape == instrument.histogram_shape and counts.dtype in (np.uint16, np.uint32):
         codes = calibration.bins.codes  # a run of them, either way
         lit = slice(int(codes.min()), int(codes.max()) + 1)
@@ -89,3 +94,32 @@ def prepare_histogram(
     if photons is None:
         photons = light.sum(axis=-1, dtype=np.float64)
     return PreparedHistogram(counts, light, photons, exposures, full)
+
+
+def _prepare_stored(
+    stored: StoredCounts, calibration: Calibration, frames: ArrayLike | None
+) -> PreparedHistogram:
+    instrument = calibration.instrument
+    if stored.source.shape != instrument.histogram_shape:
+        check_histogram(np.asarray(stored.source[:1]), instrument)  # says what differs
+    sums, photons = np.empty((2, *instrument.image_shape))
+    full = np.empty(instrument.image_shape, bool)
+    codes = calibration.bins.codes
+    lit = slice(int(codes.min()), int(codes.max()) + 1)
+    for rows, counts in stored.blocks():
+        if counts.dtype.kind not in "uif" or not (counts >= 0).all():
+            raise HistogramError(
+                f"the histogram's rows {rows.start} to {rows.stop - 1} hold counts of type "
+                f"{counts.dtype} that are negative or not finite: counts must be numbers from 0 on"
+            )
+        found = survey(counts.reshape(-1, counts.shape[-1]), lit)
+        for plane, values in zip((sums, photons, full), found, strict=True):
+            plane[rows] = values.reshape(counts.shape[:2])
+    if not sums.any():
+        raise HistogramError(
+            "the histogram is empty: not one frame was counted. Check that the capture ran and "
+            "that the right recording or slice was read"
+        )
+    known = frames is None and instrument.sensor.reports_empty
+    exposures = sums if known else frames_per_pixel(sums, instrument, frames)
+    return PreparedHistogram(stored.source, stored, photons, exposures, full)

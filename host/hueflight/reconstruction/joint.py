@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.fit.assessment import LARGEST_LOSS, MISFIT, p_value, wavelength_contrasts
-from hueflight.fit.reference import Fit
+from hueflight.fit.reference import Fit, no_fit
 from hueflight.fit.smoothed_assessment import smoothed_misfit, smoothed_score
 from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import (
@@ -41,7 +41,9 @@ from hueflight.reconstruction.options import EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import relative_range, widened
 from hueflight.reconstruction.separation import FittedCounts, with_both_depths
+from hueflight.reconstruction.stored_counts import StoredCounts
 
+reads_stored = True  #: counts that stay on disk are read in blocks
 #: options that change the result and that the method takes into account
 honors = frozenset({"depth_range", "range_correction", "pileup_correction", "background", "mixed"})
 
@@ -219,7 +221,7 @@ def estimate(
 
 
 def fit_chosen(
-    light: NDArray[Any],
+    light: NDArray[Any] | StoredCounts,
     chosen: NDArray[np.bool_],
     photons: NDArray[np.float64],
     frames: NDArray[np.float64] | None,
@@ -233,8 +235,8 @@ def fit_chosen(
 
     Parameters
     ----------
-    light : ndarray, shape (row · col, bin)
-        Counts in time order.
+    light : ndarray, shape (row · col, bin), or StoredCounts
+        Counts in time order; those on disk are read in blocks of rows.
     chosen : ndarray of bool, shape (row, col)
         Pixels to fit.
     photons : ndarray of float, shape (row, col)
@@ -257,10 +259,30 @@ def fit_chosen(
     """
     pixels = np.flatnonzero(chosen)
     delays_ns = calibration.pixel_delay_ns[chosen]
-    instrument = calibration.instrument
     rates = None
     if frames is not None:
-        rates = photons_per_period(photons[chosen], frames[chosen], instrument)
+        rates = photons_per_period(photons[chosen], frames[chosen], calibration.instrument)
+    if not isinstance(light, StoredCounts):
+        return _fit_block(light, pixels, delays_ns, rates, calibration, tables, skips, threads)
+    found = no_fit(pixels.size, tables.bands)
+    for some, counts, here in light.pixels(pixels):
+        part = None if rates is None else rates[some]
+        common = calibration, tables, skips, threads
+        found.put(some, _fit_block(counts, here, delays_ns[some], part, *common))
+    return found
+
+
+def _fit_block(
+    light: NDArray[Any],
+    pixels: NDArray[np.int64],
+    delays_ns: NDArray[np.float64],
+    rates: NDArray[np.float64] | None,
+    calibration: Calibration,
+    tables: ModelTables,
+    skips: Skips,
+    threads: int,
+) -> Fit:
+    instrument = calibration.instrument
     switches = skips.of_fit(calibration)
     if tables.resolved:
         options = {"pixels": pixels, "per_period": rates, "threads": threads}

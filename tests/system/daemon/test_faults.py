@@ -1,7 +1,4 @@
-"""Faults of disk and program under a running daemon: it says so, and every frame is accounted for.
-
-How soon `/health` tells of a fault is measured by ``tools/faults.py``; tests assert on no time.
-"""
+"""Faults of disk and program under a running daemon: it says so, and every frame is accounted for."""
 
 from __future__ import annotations
 

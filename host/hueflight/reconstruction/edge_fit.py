@@ -91,7 +91,7 @@ def _log_likelihood(counts: _Floats, parts: Sequence[_Floats]) -> _Floats:
     floor = LEAST_SHARE * total + LEAST_COUNTS
     size = len(parts)
     sums = [part.sum(axis=-1) + 1e-30 for part in parts]
-    theta = np.stack([total / size / whole for whole in sums])
+    theta: _Floats = np.stack([total / size / whole for whole in sums]).astype(np.float64)
     mean = np.empty_like(counts)
     normal, right = np.empty((len(counts), size, size)), np.empty((len(counts), size, 1))
     for _ in range(ROUNDS):
@@ -105,7 +105,7 @@ def _log_likelihood(counts: _Floats, parts: Sequence[_Floats]) -> _Floats:
                 normal[:, i, j] = normal[:, j, i] = value
         normal[:, range(size), range(size)] *= 1 + 1e-6
         normal[:, range(size), range(size)] += 1e-12
-        theta = np.linalg.solve(normal, right)[..., 0].T
+        theta = np.linalg.solve(normal, right)[..., 0].T.astype(np.float64)
     mean = _sum_of(parts, theta, floor)
     return (counts * np.log(mean)).sum(axis=-1) - mean.sum(axis=-1)
 

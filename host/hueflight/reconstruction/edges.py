@@ -152,7 +152,8 @@ def _starts(planes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     weights = np.where(unknown, np.float32(0), deviation**-2)
     moments = weights * np.where(unknown, np.float32(0), depth)
     low, high = _third_smallest(values), -_third_smallest(np.where(unknown, np.inf, -depth))
-    return tuple(_shifted(values, reach, weights, moments, start) for start in (low, high))
+    light = reach, weights, moments
+    return _shifted(values, *light, low), _shifted(values, *light, high)
 
 
 def _views(padded: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
@@ -166,7 +167,8 @@ def _views(padded: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
 
 def _third_smallest(padded: NDArray[np.float32]) -> NDArray[np.float32]:
     shape = tuple(size - WINDOW + 1 for size in padded.shape)
-    first, second, third = np.full((3, *shape), np.inf, np.float32)
+    first = np.full(shape, np.inf, np.float32)
+    second, third = first.copy(), first.copy()
     larger = np.empty(shape, np.float32)
     for value in _views(padded):
         np.minimum(third, np.maximum(second, value, out=larger), out=third)

@@ -159,11 +159,11 @@ def plateaus_of(
     surfaces = np.stack([edges.near, edges.far], axis=1).astype(np.float32)
     off = np.abs(about[:, None, :, 0] - surfaces[..., None])
     members = known[:, None] & (off < REACH * about[:, None, :, 1])
-    count = np.maximum(members.sum(axis=-1), 1)[..., None]
+    count = members.sum(axis=-1, keepdims=True, dtype=np.float32).clip(1)
     sums = members.astype(np.float32) @ light / count  # pixel, surface, plane
-    near, far = sums.transpose(1, 2, 0).astype(np.float64)
-    near_count, far_count = count.transpose(1, 2, 0)
-    return Plateaus(near[:bands], far[:bands], near[bands:] / near_count, far[bands:] / far_count)
+    means = sums.transpose(1, 2, 0).astype(np.float64)  # surface, plane, pixel
+    variances = means[:, bands:] / count.transpose(1, 2, 0)
+    return Plateaus(means[0, :bands], means[1, :bands], variances[0], variances[1])
 
 
 def near_share(

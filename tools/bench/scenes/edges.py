@@ -87,8 +87,8 @@ class Tally:
     """Counts of pixels over several pictures."""
 
     def __init__(self) -> None:
-        self.sums = dict.fromkeys(("mixed", "wrong", "missed", "clean", "false"), 0)
-        self.sums |= dict.fromkeys(("inside", "unflagged"), 0)
+        names = "mixed wrong missed clean false inside unflagged"
+        self.sums: dict[str, int] = dict.fromkeys(names.split(), 0)
         self.shares: list[Floats] = []
 
     def add(
@@ -171,18 +171,42 @@ def rows(quick: bool) -> Iterator[Row]:
                   f"{found:.0%}; {error:.3f}")  # fmt: skip
 
 
-def _figure_1(median: float, *, seeds: int) -> Tally:
+def figure_1(
+    median: float,
+) -> tuple[hf.Calibration, Floats, NDArray[np.float64], NDArray[np.float64]]:
+    """Return the scene of Fig. 1, whose pixels have a footprint.
+
+    Parameters
+    ----------
+    median : float
+        Median of the pixels' photons, background excepted.
+
+    Returns
+    -------
+    calibration : Calibration
+        Calibration of the instrument that looks at it.
+    mean : ndarray of float, shape (row, col, bin)
+        Expected counts.
+    depths : ndarray of float, shape (2, row, col)
+        Depths of the nearest and the farthest surface in each pixel, m.
+    total : ndarray of float, shape (row, col)
+        Expected photons of the LEDs.
+    """
     size = (192, 128)
     instrument, calibration, cosine = instrument_and_calibration(*size)
     truth = effect_truth(scene("fig1", instrument, rays=4), instrument, SimulationSettings.ideal())
     scale = median / np.median(truth.photons.sum(axis=(0, 1)))
     depths = np.where(np.isfinite(truth.depths), truth.depths, truth.depths[0])
     light = np.moveaxis(truth.photons, 1, -1) * scale
-    total = light.sum(axis=(0, -1))
     # the same steady light on all pixels, a tenth of the median
     mean = flat_light(np.full(size, median / 10))
     for depth, photons in zip(depths, light, strict=True):
         mean += seen(depth / cosine, photons)
+    return calibration, mean, depths, light.sum(axis=(0, -1))
+
+
+def _figure_1(median: float, *, seeds: int) -> Tally:
+    calibration, mean, depths, total = figure_1(median)
     step = depths[1] - depths[0]
     mixed = step > 0
     judged = (total >= LEAST_PHOTONS) & (~mixed | (step >= STEP_M))

@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-
-FAR_BELOW = -30.0  #: standard deviations, beyond which the mean is that of an exponential tail
 
 
 def shrink_to_line_means(
@@ -70,18 +67,7 @@ def _line_effect(
 
 
 def _excess_variance(excess: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
-    """Mean of a variance beyond the noise given that it is not negative.
-
-    The weighted mean alone is 0 or less by chance where few values tell it; taken for 0, the
-    estimates would be called exact.
-    """
+    """Variance beyond the noise, 0 where there is none."""
     if excess.size < 2:
         return 0.0 if not excess.size else max(float(excess[0]), 0.0)
-    mean = float((excess * weight).sum() / weight.sum())
-    deviation = float(np.sqrt((weight**2 * (excess - mean) ** 2).sum()) / weight.sum())
-    if deviation <= 0:
-        return max(mean, 0.0)
-    place = mean / deviation
-    if place < FAR_BELOW:  # the two terms of the formula would cancel
-        return -deviation / place
-    return mean + deviation * float(np.exp(norm.logpdf(place) - norm.logcdf(place)))
+    return max(float((excess * weight).sum() / weight.sum()), 0.0)

@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import clean
 import departures
+import deviations
 import edges
 import returns
 from _measure import table
@@ -25,6 +26,7 @@ from acceptance import Group, Row
 #: name → function that draws data and yields rows
 GROUPS: dict[str, Group] = {
     "clean": clean.rows,
+    "deviations": deviations.rows,
     "edges": edges.rows,
     "departures": departures.rows,
     "returns": returns.rows,

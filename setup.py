@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled kernels; everything else about the distribution is in pyproject.toml."""
 
 from pathlib import Path

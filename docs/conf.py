@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Configuration of the documentation; ``python -m sphinx -W docs out/docs`` builds it."""
 
 import os

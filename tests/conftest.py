@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which tests run, in what order, what may be skipped, and where real measurements lie.
 
 Tests skip, saying so, what a machine lacks. Continuous integration must lack nothing: there a skip

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Validate docstrings with numpydoc.
 
     python tools/check_docstrings.py [FOLDER ...]

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Set up, demonstrate, test and benchmark Hueflight with nothing but Python 3.11.
 
     python3 tools/dev.py demo            the simulated instrument, end to end, as a report

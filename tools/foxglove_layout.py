@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write docs/foxglove-layout.json, a layout of Foxglove for the files of `hueflight export`."""
 
 from __future__ import annotations

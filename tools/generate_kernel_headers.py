@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write the C headers that C and Python of the kernels share.
 
     python tools/generate_kernel_headers.py

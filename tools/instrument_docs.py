@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Generate the table of every entry of an instrument file in docs/instrument.md.
 
     python tools/instrument_docs.py [FILE]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Golden vectors of picture messages, in both codings, for readers in any language.
 
 Each vector is a message, NAME.bin, and what a reader must find in it, NAME.json: the header, and

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Generate the parts of the protocol's documents that follow from its declarations.
 
     python tools/protocol_docs.py [FOLDER]

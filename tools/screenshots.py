@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Take the pictures of the live page that the documentation shows.
 
     python tools/screenshots.py

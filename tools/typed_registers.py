@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Write the registers of both boards as types, from the declarations of the register maps.
 
     python tools/typed_registers.py [FOLDER]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Golden vectors of the stream from camera to host that are damaged, or lie."""
 
 from collections.abc import Callable, Iterator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Golden vectors of the control protocol on the serial line, and of COBS alone.
 
 Each dialogue states by hand what a freshly reset illuminator of 32 channels answers.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Golden vectors of the stream from camera to host, all of them intact."""
 
 from collections.abc import Iterator

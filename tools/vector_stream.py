@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A stream of packets under construction, and what a parser must make of it.
 
 The expectations come from what was put in, never from running the parser over what came out.

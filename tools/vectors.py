@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Write the golden vectors of the protocol: `python tools/vectors.py [FOLDER]`.
 
 Every vector is a pair NAME.bin, NAME.json; protocol/vectors/README.md says how to read them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A directive that executes the code of a page while the documentation is built.
 
 The blocks of a page that are marked ``{run} python`` or ``{run} bash`` are executed in their order:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Host software of Hueflight: from photon codes to depth and reflectance in every band.
 
 The names below are loaded when they are first used, so that importing the package costs next to

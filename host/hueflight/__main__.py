@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`python -m hueflight` is the command `hueflight`."""
 
 from hueflight.cli import main

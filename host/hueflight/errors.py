@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Expected failures of the host software, each a kind of `HueflightError`.
 
 Where Python has a class of its own for a failure, ours derives from that as well, so that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Public names of a package that are loaded when they are first used (PEP 562).
 
 A package whose modules take long to import lists in a dictionary where each public name is defined.

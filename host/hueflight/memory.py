@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How much memory work may take: estimated before it begins, and refused where there is too little.
 
 Work that would not fit is refused at once, with a figure and advice, instead of filling the memory
@@ -11,10 +12,10 @@ from pathlib import Path
 
 from hueflight.errors import HueflightError, MemoryLimitError
 
-__all__ = ["VARIABLE", "limit_bytes", "require_memory", "sizes"]
+__all__ = ["LIMIT_NAME", "limit_bytes", "require_memory", "sizes"]
 
 SHARE = 0.75  #: of the memory that this process may have, which one piece of work may take
-VARIABLE = "HUEFLIGHT_MEMORY"  #: environment variable with a limit of the user, such as "4 GB"
+LIMIT_NAME = "HUEFLIGHT_MEMORY"  #: environment variable with a limit of the user, such as "4 GB"
 UNITS = {"B": 1, "kB": 10**3, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 CGROUP_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
@@ -34,7 +35,7 @@ def limit_bytes() -> int | None:
     HueflightError
         If ``HUEFLIGHT_MEMORY`` is not an amount of memory.
     """
-    if given := os.environ.get(VARIABLE):
+    if given := os.environ.get(LIMIT_NAME):
         return _parsed(given)
     known = [size for size in (_physical(), _of_container(), _of_process()) if size is not None]
     return int(SHARE * min(known)) if known else None
@@ -61,7 +62,7 @@ def require_memory(needed: float, purpose: str, *, advice: str) -> None:
     if limit is not None and needed > limit:
         raise MemoryLimitError(
             f"{purpose} would take about {sizes(needed)} of memory, more than the {sizes(limit)} "
-            f"that it may take here ({SHARE:.0%} of the memory, or {VARIABLE}). {advice}"
+            f"that it may take here ({SHARE:.0%} of the memory, or {LIMIT_NAME}). {advice}"
         )
 
 
@@ -93,7 +94,7 @@ def _parsed(given: str) -> int:
     except (ValueError, OverflowError):
         pass
     raise HueflightError(
-        f"{VARIABLE} = {given!r}: must be an amount of memory above 0, such as '4 GB' or '500 MB'"
+        f"{LIMIT_NAME} = {given!r}: must be an amount of memory above 0, such as '4 GB' or '500 MB'"
     )
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress behind one small interface, so that a terminal, a daemon or a notebook can show it."""
 
 from __future__ import annotations

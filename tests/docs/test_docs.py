@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The documentation builds without warnings, its code runs, and it covers the public interface."""
 
 import ast

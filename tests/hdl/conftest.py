@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures that skip a test where the tools that it needs are not installed."""
 
 from __future__ import annotations

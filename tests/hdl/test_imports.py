@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Imports of the gateware go down one order of packages, and there is no circle of modules."""
 
 from __future__ import annotations

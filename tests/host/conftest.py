@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small instruments and photons drawn from continuous-time pulses, for all host tests."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Estimates of memory, and the refusal of work that would not fit."""
 
 import resource
@@ -22,13 +23,13 @@ from hueflight.model.waveforms import Templates
     [("4 GB", 4 * 10**9), ("1.5MB", 1_500_000), ("200 kB", 200_000), ("1000", 1000)],
 )
 def test_limit_of_the_user(monkeypatch, given, expected):
-    monkeypatch.setenv(memory.VARIABLE, given)
+    monkeypatch.setenv(memory.LIMIT_NAME, given)
     assert memory.limit_bytes() == expected
 
 
 @pytest.mark.parametrize("given", ["much", "-3 GB", "0", "nan", "inf", "4 parsecs"])
 def test_limit_that_is_no_amount(monkeypatch, given):
-    monkeypatch.setenv(memory.VARIABLE, given)
+    monkeypatch.setenv(memory.LIMIT_NAME, given)
     with pytest.raises(HueflightError, match=r"HUEFLIGHT_MEMORY = .*amount of memory"):
         memory.limit_bytes()
 
@@ -44,7 +45,7 @@ def test_limit_of_the_process():
 
 
 def test_a_refusal_says_how_much_and_what_to_do(monkeypatch):
-    monkeypatch.setenv(memory.VARIABLE, "1 MB")
+    monkeypatch.setenv(memory.LIMIT_NAME, "1 MB")
     with pytest.raises(
         MemoryLimitError, match=r"the work would take about 2\.5 MB .* 1 MB .* Wait"
     ):
@@ -81,7 +82,7 @@ def test_estimate_of_the_tables_covers_what_they_take(monkeypatch, even):
 
 
 def test_tables_are_refused_before_they_are_made(monkeypatch):
-    monkeypatch.setenv(memory.VARIABLE, "1 MB")
+    monkeypatch.setenv(memory.LIMIT_NAME, "1 MB")
     tracemalloc.start()
     with pytest.raises(MemoryLimitError, match=r"delays, 3 bands and 4096 bins .*depth_range"):
         tables.make_tables(
@@ -94,6 +95,6 @@ def test_tables_are_refused_before_they_are_made(monkeypatch):
 def test_a_calibration_is_refused_before_it_begins(monkeypatch, small, draw):
     instrument = small()
     reference = draw(instrument, photons=2000)
-    monkeypatch.setenv(memory.VARIABLE, "100 kB")
+    monkeypatch.setenv(memory.LIMIT_NAME, "100 kB")
     with pytest.raises(MemoryLimitError, match=r"the calibration of .* pixels"):
         hf.calibrate(reference, instrument, distance=0.5)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that version 0.1.0 wrote still open, and hold the same numbers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names at the top level: loaded when used, known to type checkers, the same everywhere."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The checks against published values, and against the properties claimed for them."""
 
 import numpy as np

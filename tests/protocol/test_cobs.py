@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """COBS against published examples, and as an inverse."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control messages: inverse, every bit flip refused, and how a board answers."""
 
 import numpy as np

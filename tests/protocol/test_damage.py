@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every bit flip, every truncation, every lost byte: found, and the next packet recovered."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame packets: inverse, uniqueness, size, and what is refused."""
 
 import construct

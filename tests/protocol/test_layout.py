@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What derives from a declaration agrees with construct's own parser."""
 
 import construct

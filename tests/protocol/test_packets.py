@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets that are not frames: inverse, and what is refused."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bit packing against one big integer."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The parser's bookkeeping and its bounds; damage has a file of its own."""
 
 from itertools import pairwise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Register maps: places, fields, fingerprints, and what is refused."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A second reader of the stream, written from docs/protocol.md alone, bit by bit.
 
 It shares no line with the package: if the two agree on the golden vectors, then the document

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registers as types are what the maps declare, and encode as the maps do."""
 
 import subprocess

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The golden vectors: the generator writes them again, and the package meets them."""
 
 import dataclasses

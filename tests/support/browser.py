@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Headless Chromium in a process of its own, ended for certain: a hung page fails its test."""
 
 from __future__ import annotations

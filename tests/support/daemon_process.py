@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon as people run it: a process of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A disk that fails on demand, under a process of its own: the Python side of ``disk_shim.c``."""
 
 from __future__ import annotations

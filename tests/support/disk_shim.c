@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Errors of the disk on demand, for tests: LD_PRELOAD this into a process.
 
    FAULT_FOLDER names the folder whose files fail; FAULT_CONTROL names a file of six 32-bit numbers

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera model with USB around it: descriptors, endpoints, and faults on demand.
 
 One device for both emulations, the fake usbfs below libusb and the usbredir server below QEMU.

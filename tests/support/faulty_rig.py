@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rig in memory whose cable and power can be pulled."""
 
 from __future__ import annotations

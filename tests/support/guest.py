@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A machine with a real Linux kernel in QEMU, whose USB cable ends in the emulated camera.
 
 No virtualisation is needed: QEMU interprets. The guest sees this machine's files, read-only, and

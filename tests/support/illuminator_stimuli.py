@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small pulse generators and random stimuli for them."""
 
 from __future__ import annotations

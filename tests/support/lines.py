@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines that a process writes, read as they come: its pipe never fills, no wait is for ever."""
 
 from __future__ import annotations

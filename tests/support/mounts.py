@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small disks of a test's own: in memory, or in a file that can be unplugged and plugged in."""
 
 from __future__ import annotations

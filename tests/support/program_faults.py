@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of the program itself, in a daemon of its own process: a file asks for one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An illuminator behind a pseudo terminal: real pyserial talks to the board's register file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A usbfs device in Python, behind libumockdev's preload library.
 
 Real libusb, pyusb and libusb1 run in a process of their own with ``LD_PRELOAD``; their ioctls on

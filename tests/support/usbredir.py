@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated camera served over usbredir to QEMU's xHCI controller: a real kernel drives it.
 
 Message layouts are those of usbredirproto.h (version 0.7), integers little-endian; of the

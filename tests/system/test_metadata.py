@@ -1,4 +1,4 @@
-"""Facts about the project that stand in several files agree."""
+"""Facts about the project that stand in several files agree, and each file says its license."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+SPDX = "SPDX-License-Identifier: Apache-2.0"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
@@ -20,6 +21,17 @@ def tracked(*patterns: str) -> list[Path]:
     if done.returncode:
         pytest.skip("not a clone: git does not know the files")
     return [ROOT / name for name in done.stdout.split()]
+
+
+def test_every_source_file_names_its_license():
+    files = tracked("*.py", "*.c", "*.h", "*.cc", "*.sv", "*.js", "*.mjs", "*.css")
+    assert len(files) > 600
+    missing = [
+        path.relative_to(ROOT).as_posix()
+        for path in files
+        if path.exists() and SPDX not in path.read_text(encoding="utf-8")[:200]
+    ]
+    assert not missing
 
 
 def test_the_citation_agrees_with_the_package():

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Results of a run of the daemon: tables and a plot, which can be written to the documentation."""
 
 from __future__ import annotations

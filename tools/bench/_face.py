@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real photons: 340 × 340 pixels of a mannequin's face, scanned one after another.
 
 The data state the arrival times of photons in steps of 8 ps, but not the shape of the laser pulse,

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Runs the kernels over a file of packets, for callgrind to count their instructions.
  *
  *     instructions FILE ROWS COLS CODE_BITS

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A producer process sends packets over a socket; this process checks, counts and records them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Timing of several functions in the same process, alternately; the best of many runs counts."""
 
 from __future__ import annotations

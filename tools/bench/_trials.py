@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trials of estimators on counts whose truth is known: drawn from the pulses in continuous time.
 
 The truth comes from the instrument's own pulses, integrated exactly over each bin; estimators

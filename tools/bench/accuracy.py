@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Error against run time of every method: a table, a plot, and the limits that must hold.
 
     python3 tools/dev.py bench accuracy [--quick] [--write]

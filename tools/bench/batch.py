@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed and memory of many captures on one worker, on two, and on a Dask cluster.
 
     python3 tools/dev.py bench batch [CAPTURES] [METHOD]

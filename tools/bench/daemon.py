@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon at the pace of a camera: frames lost, memory, CPU by stage, delay to the browser.
 
     python tools/bench/daemon.py                                        # the delay

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Few photons per pixel, and interleaved schedules: accuracy, speed and pictures.
 
     python3 tools/dev.py bench few_photons                    all of it, some minutes

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Benchmarks of ingest and recording, each beside a reference in the same run.
 
     python3 tools/dev.py bench ingest                  all of it, about two minutes

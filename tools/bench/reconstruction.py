@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Benchmark of reconstruction: pixels per second of every method and skip.
 
     python3 tools/dev.py bench reconstruction                    all of it, about a minute

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measure what quick commands cost before they do anything.
 
     python tools/dev.py bench startup

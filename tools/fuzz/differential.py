@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compare compiled kernels, NumPy kernels and the reference parser on damaged streams.
 
     python3 tools/dev.py run python tools/fuzz/differential.py --seconds 60

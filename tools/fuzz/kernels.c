@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* libFuzzer target: arbitrary packets through both kernels.
  *
  * The first bytes of an input select geometry and options, the rest is the stream. One option

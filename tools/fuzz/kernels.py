@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fuzz the compiled kernels with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer.
 
     python3 tools/dev.py run python tools/fuzz/kernels.py --seconds 60

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damage recordings systematically, recover them, and count the outcomes.
 
     python3 tools/dev.py run python tools/fuzz/recordings.py --kills 1000

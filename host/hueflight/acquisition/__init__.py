@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Acquisition: runs of the camera, with recordings, live histograms and complete frame accounting.
 
 A thread of its own owns the rig; see `Acquisition` for what it offers.

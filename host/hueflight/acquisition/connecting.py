@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The states without a rig: look for it, and go on with the run that its loss interrupted."""
 
 from __future__ import annotations

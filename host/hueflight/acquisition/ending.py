@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state in which a run ends: stop the camera, read the rest, account for every frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame accounting: what became of every frame that the camera exposed.
 
 In a run, frames delivered + dropped + aborted + lost in transit = frames exposed (rule F14 of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Precision stop: a run ends when depth or reflectance is known precisely enough."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recording in a thread of its own: a slow disk can never delay acquisition.
 
 Pieces of the stream wait in a bounded queue. When it is full, pieces are left out of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One run while it is on: its stream, its frame accounting, its end."""
 
 from __future__ import annotations

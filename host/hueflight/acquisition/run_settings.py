@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the stream of a run is cut into histograms, and how much of it may wait."""
 
 from __future__ import annotations

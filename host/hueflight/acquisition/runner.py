@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Acquisition: one thread that owns the rig, runs plans, and never waits for anyone.
 
 Whoever looks (a viewer, a recorder, a client) is handed what there is and can't delay it. When the

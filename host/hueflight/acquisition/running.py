@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state in which a run is on: read its stream, and watch over the camera."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the states of an acquisition share: the rig, the run that is on, and what was counted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an acquisition shows: its status, and the newest histogram."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stale data filter: leaves out packets of an earlier run that a link still holds.
 
 They were counted as lost when that run ended, and must not be counted again (rule S5 of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The state in which nothing runs: begin the run that was asked for, or the live run."""
 
 from __future__ import annotations

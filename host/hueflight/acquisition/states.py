@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The states of an acquisition, and which of them may follow which."""
 
 from __future__ import annotations

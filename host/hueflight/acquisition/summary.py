@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Summary of a recording's run, as a small file beside the recording."""
 
 from __future__ import annotations

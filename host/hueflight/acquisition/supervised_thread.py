@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Threads that can't end unnoticed: a failure is kept in words, reported, and work begins again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scheduling priority of threads.
 
 Threads that must not be late get a real-time priority where the system allows it. Niceness is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Analysis of images: regions, profiles, differences, series, libraries, light, transmittance."""
 
 from hueflight.analysis.comparison import compare, spectral_angle

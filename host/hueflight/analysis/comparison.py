@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes between two captures of one scene, and their significance."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Uneven illumination: the pattern of each band's light, and images without it.
 
 A calibration evens out how bright each pixel saw the target in all bands together. What it leaves
@@ -123,13 +124,16 @@ def _terms(shape: tuple[int, int], order: int) -> NDArray[np.float64]:
         raise HueflightError(f"order = {order!r}: give a whole number from 0 to 8")
     rows, cols = (legendre.legvander(np.linspace(-1, 1, size), order) for size in shape)
     pairs = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
-    return np.stack([np.outer(rows[:, i], cols[:, j]).ravel() for i, j in pairs], axis=-1)
+    return np.stack(
+        [np.outer(rows[:, i], cols[:, j]).ravel() for i, j in pairs], axis=-1, dtype=np.float64
+    )
 
 
 def _fit(
     terms: NDArray[np.float64], values: NDArray[np.float64], known: NDArray[np.bool_], band: int
 ) -> NDArray[np.float64]:
     """Coefficients by least squares, once more without what lies far from them."""
+    coefficients = np.zeros(terms.shape[1])
     for _ in range(2):
         needed = PIXELS_PER_TERM * terms.shape[1]
         if known.sum() < needed:
@@ -137,7 +141,9 @@ def _fit(
                 f"only {known.sum()} pixels of the board have a reliable reflectance in band "
                 f"{band}; {needed} are needed for this order: choose a lower one, or capture longer"
             )
-        coefficients = np.linalg.lstsq(terms[known], values[known], rcond=None)[0]
+        coefficients = np.linalg.lstsq(terms[known], values[known], rcond=None)[0].astype(
+            np.float64
+        )
         apart = np.abs(values - terms @ coefficients)
         known = known & (apart <= OUTLIER * 1.4826 * np.median(apart[known]))
     return coefficients

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spectral indices: normalized differences of two bands, with their uncertainty."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of measured spectra with a library of reference spectra."""
 
 from __future__ import annotations

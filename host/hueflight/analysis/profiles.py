@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Profiles of an image along a row or a column."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mean spectra and distances of named regions of an image, with their uncertainty."""
 
 from __future__ import annotations

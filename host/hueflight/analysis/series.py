@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Series of captures: stacking images, and trends in them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transmittance: the same instrument with a sample in the path of its light.
 
 The reference is the light without the sample. What `reconstruct` then calls reflectance is the

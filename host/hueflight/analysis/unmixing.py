@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Non-negative linear unmixing: how much of each material of a library is in a spectrum."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which kernels run, compiled or NumPy, and why.
 
 Every hot loop of Hueflight exists twice: as C, and as the NumPy code that defines what it computes.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interface of the compiled joint fit, change detection and correlation."""
 
 from hueflight.backend.interface import (

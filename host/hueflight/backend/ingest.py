@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interface of the kernels that turn packets into histograms."""
 
 from hueflight.backend.interface import Constant, Field, Interface, Record, ScalarFunction

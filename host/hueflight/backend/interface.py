@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What C and Python of a kernel have to agree on: declared once, here in Python.
 
 From a declaration `tools/generate_kernel_headers.py` writes the C header ``_c/abi.h``, in which
@@ -298,6 +299,7 @@ class Interface:
         """
         guard = f"HUEFLIGHT_{self.name.upper()}_ABI_H"
         return (
+            "/* SPDX-License-Identifier: Apache-2.0 */\n"
             f"/* Made by tools/generate_kernel_headers.py from hueflight/backend/{self.name}.py:\n"
             " * change that file and run the tool. */\n"
             f"#ifndef {guard}\n#define {guard}\n#include <stdint.h>\n\n"

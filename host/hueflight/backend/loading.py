@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Find, check and load the extension modules that hold the compiled kernels."""
 
 from __future__ import annotations

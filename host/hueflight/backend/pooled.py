@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interface of the kernel behind the pooled method."""
 
 from hueflight.backend.interface import ANY, Buffer, Constant, Field, Function, Interface, Record

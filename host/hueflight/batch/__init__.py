@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Capture files to image stores: one file, or many by local processes or a Dask cluster."""
 
 from hueflight.batch.batch import BatchReport, Executor, reconstruct_many

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many captures into a folder of images: one task each, resumable, failures isolated."""
 
 from __future__ import annotations

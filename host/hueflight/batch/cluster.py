@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An existing Dask cluster, by the address of its scheduler."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is done to one capture of a batch: nothing if its image is there already."""
 
 from __future__ import annotations

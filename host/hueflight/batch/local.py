@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Local worker processes, each with one capture at a time; one that dies is replaced."""
 
 from __future__ import annotations

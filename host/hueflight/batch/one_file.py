@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One capture file to one image store, with a summary of what was found."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration: what an instrument's description can't state, measured from a known target.
 
 `calibrate` turns captures of a flat target into a `Calibration`: pulse windows, waveforms, gains,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The result of calibrating one instrument in front of a known target."""
 
 from __future__ import annotations

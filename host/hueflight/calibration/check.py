@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a calibration still holds, from a new capture of the reference target.
 
 All pixels together tell how the pulse of each band has moved, brightened and widened: the counts

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hot and dead pixels, found from a reference and, where there is one, a dark capture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Delay of each pixel relative to all others, from a capture of a flat target."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does a description fit the camera? Pulses of a reference beside those that it says are due.
 
 Positions are compared after the whole train was moved to where it fits best, because the latency of

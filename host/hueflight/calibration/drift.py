@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration whose LEDs have drifted since it was made."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Empirical-Bayes estimates of a quantity of each pixel.
 
 A value measured in one pixel is noisier than a mean over many. Rows, columns and pixels each keep

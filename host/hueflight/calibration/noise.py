@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the photons of the captures leave unknown of waveforms and brightness."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The calibration procedure: from captures of a known flat target to a `Calibration`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model of the whole pulse train, fitted to a reference to separate overlapping pulses."""
 
 from __future__ import annotations

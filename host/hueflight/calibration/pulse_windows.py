@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which bins belong to which pulse, found from a reference (paper, section 2 and Fig. 3)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Named arrays and attributes of a calibration in one Zarr directory, written whole.
 
 The format number rises whenever an older reader would be misled.

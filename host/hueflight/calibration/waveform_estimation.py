@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waveforms from captures: pooled over pixels, of one LED at a time or of all LEDs together."""
 
 from __future__ import annotations

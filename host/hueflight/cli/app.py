@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command line's entry point: commands by name, loaded when called; errors as messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Choices that the help of several commands lists."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exit codes that commands share."""
 
 DATA_LOST = 3  #: some data is missing or damaged, as `recover` and `info` report it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands `hueflight instrument new | check | show`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What commands print: progress, messages and tables for people, JSON for scripts."""
 
 from __future__ import annotations

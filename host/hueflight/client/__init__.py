@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Clients of the capture daemon: live pictures, recordings and calibrations over the network.
 
 They need neither the devices nor the daemon, only the package websockets (extra

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Address of a daemon, as people write it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The client for programs that use asyncio: the same requests, each awaited."""
 
 from __future__ import annotations

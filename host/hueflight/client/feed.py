@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures over a web socket that is opened again when it breaks."""
 
 from __future__ import annotations

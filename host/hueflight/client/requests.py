@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests to the daemon's API, and its refusals as errors."""
 
 from __future__ import annotations

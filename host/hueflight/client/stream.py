@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stream of pictures without its transport: what to send, and what the answers mean."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Types of what a client is given and gives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From bands to spectra and colours, with the smoothing by the LEDs' spectral widths undone."""
 
 from hueflight.color.observer import srgb_of, tristimulus

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Smooth reflectance spectra for the 24 patches of a ColorChecker from their colour alone.
 
 The patches' colours are those published by McCamy, Marcus and Davidson, "A Color-Rendition

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Perceived difference of two colours: CIELAB and CIEDE2000."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The colour map of all pictures: viridis, perceptually uniform."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures for display: missing pixels filled, three bands as RGB. Not for measurements."""
 
 from __future__ import annotations

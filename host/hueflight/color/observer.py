@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The standard observer: tristimulus values of reflectances, and sRGB from those.
 
 The table holds the CIE 1931 colour matching functions (2°) and the relative powers of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images in colour: every visible band contributes to each sRGB value."""
 
 from __future__ import annotations

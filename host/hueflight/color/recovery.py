@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spectra from bands: a Wiener estimate that weighs each band by its noise.
 
 A band measures the mean of a reflectance under its LED's spectrum, which is some tens of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The capture daemon: runs one camera, reconstructs live, records, and serves a page and an API.
 
 The modules of this package are the core, which knows nothing of HTTP. `hueflight.daemon.http`

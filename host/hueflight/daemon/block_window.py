@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The newest blocks of a run, summed for a live picture."""
 
 from __future__ import annotations

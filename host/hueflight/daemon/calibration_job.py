@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration on command: captures are recorded, then evaluated in a separate process.
 
 The raw captures are kept beside the calibration, so that it can be computed again.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Configuration of a daemon, read from one TOML file in which unknown keys are errors."""
 
 from __future__ import annotations

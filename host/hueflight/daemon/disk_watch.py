@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watches the disk of the data folder in its own thread, because a dead disk may not answer."""
 
 from __future__ import annotations

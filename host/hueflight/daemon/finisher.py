@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finishes recordings that were cut off by a crash, a power cut or an error of the disk."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The joint fit from picture to picture, which fits again only the pixels that have changed."""
 
 from __future__ import annotations

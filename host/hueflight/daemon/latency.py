@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time from the last photon of a picture until a viewer sees it, and where that time goes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Colours of live pictures from all bands, by one matrix for each picture.
 
 `hueflight.color.color_picture` weighs the noise of each pixel, and takes a second for a picture.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Logs: readable lines at a terminal, and one JSON object per line for programs."""
 
 from __future__ import annotations

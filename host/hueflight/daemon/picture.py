@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One live picture: the histogram of the newest frames, the image made of it, and its times."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live pictures: the newest blocks are reconstructed in a thread of their own, older ones not."""
 
 from __future__ import annotations

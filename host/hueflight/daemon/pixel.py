@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exact numbers of one pixel of a picture: histogram, time windows, spectrum and depth."""
 
 from __future__ import annotations

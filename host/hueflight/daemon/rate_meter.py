@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rates of running totals, averaged over the last two seconds."""
 
 from __future__ import annotations

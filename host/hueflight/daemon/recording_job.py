@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recording on command: one recording at a time, each a run of its own."""
 
 from __future__ import annotations

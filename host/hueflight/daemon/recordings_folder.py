@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The folder of the daemon's recordings, and the names that clients may choose in it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon without HTTP: acquisition, pictures, recordings and calibrations of one camera."""
 
 from __future__ import annotations

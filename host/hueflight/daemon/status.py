@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon's state as plain dictionaries, for the API, the live page and metrics."""
 
 from __future__ import annotations

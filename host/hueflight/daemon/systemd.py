@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages to systemd about readiness and health, as sd_notify(3) describes them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An image or a histogram as one HTML file that any browser shows without a server.
 
 The page shows what the live page shows, with the same plots: depth, colour, bands, photons, points

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boards: the camera on USB, the illuminator on a serial line."""
 
 from hueflight.devices.board import Board, BoardIdentity

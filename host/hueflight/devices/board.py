@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A board behind the control protocol: typed registers, every request answered or timed out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rigs of boards that are plugged in: a camera on USB, an illuminator on a serial port."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera: settings go in, runs start and stop, packets come out."""
 
 from __future__ import annotations

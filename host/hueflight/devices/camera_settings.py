@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Clocks and periods of an exposure, chosen so that a camera does what an instrument states."""
 
 from __future__ import annotations

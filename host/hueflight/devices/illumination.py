@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Illumination of captures: what the LEDs do, whichever device drives them."""
 
 from __future__ import annotations

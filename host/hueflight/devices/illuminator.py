@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator: schedules, triggers and sequencer programs go in, counters come out."""
 
 from __future__ import annotations

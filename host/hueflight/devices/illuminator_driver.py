@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator board as the illumination of captures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an illuminator reports: its state, its counters, trigger phases and faults."""
 
 from __future__ import annotations

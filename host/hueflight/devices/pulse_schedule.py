@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pulse schedules: when LEDs fire, in nanoseconds, and rounded to the ticks of a board."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A rig, which is one camera and its illumination, and the addresses by which rigs are opened.
 
 The address of a rig is a URI, or several that are joined by ``+``::

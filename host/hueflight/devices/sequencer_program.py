@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Programs of the illuminator's sequencer: which LEDs fire, and for how long, step by step."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera and its illumination in software, behind the interfaces of the real boards."""
 
 from hueflight.emulation.camera_model import CameraModel

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A model of the camera as seen from its endpoints, on which every emulation is built.
 
 Requests are answered by the same register file that the gateware is verified against. Frames become

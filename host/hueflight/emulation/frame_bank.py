@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ready-made frames, which get new numbers each time they are sent.
 
 Drawing photons is far slower than a camera. A simulated camera repeats a bank of frames in an order

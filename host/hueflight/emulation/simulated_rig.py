@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated instrument, behind the same interfaces as the real one."""
 
 from __future__ import annotations

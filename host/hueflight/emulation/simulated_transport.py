@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Transport and stream of a simulated board: the endpoints of a model, without a bus."""
 
 from __future__ import annotations

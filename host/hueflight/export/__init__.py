@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writers of images, histograms and photon lists in formats that other software reads."""
 
 from hueflight.export.description import describe

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Metadata of every exported file: units, wavelengths, calibration and software."""
 
 from __future__ import annotations

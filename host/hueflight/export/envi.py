@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ENVI: a text header with a file of raw numbers, the usual format of imaging spectroscopy.
 
 Keys follow the format's public description ("ENVI Header Files", L3Harris Geospatial

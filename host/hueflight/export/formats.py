@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registry of the formats for images, and the function that writes any of them.
 
 A format is one more entry of `FORMATS`, or, in another package, an entry point in the group

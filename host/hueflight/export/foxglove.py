@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MCAP files with the message types of Foxglove, for its viewer and for programs of robotics.
 
 The schemas are those of the official SDK (https://docs.foxglove.dev/docs/visualization/message-schemas).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """HDF5 files on disks that may be full.
 
 The HDF5 library cannot recover from a failed write: closing the file fails, is tried again when the

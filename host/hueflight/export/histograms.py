@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Raw histograms as HDF5, for software for time-correlated single-photon counting."""
 
 from __future__ import annotations

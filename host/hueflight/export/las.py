@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LAS 1.4 point clouds, for lidar software: bands and uncertainties as extra dimensions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """OME-TIFF: bands as channels with their wavelengths, for microscopy software.
 
 This follows the OME data model, schema 2016-06 (https://www.openmicroscopy.org/Schemas/OME/

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photon lists as Photon-HDF5, for software that analyses single photons.
 
 This follows the Photon-HDF5 specification, version 0.5 (A. Ingargiola et al., Biophys. J. 110, 26,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Binary PLY, the point cloud format of most 3-D software.
 
 This follows G. Turk, "The PLY Polygon File Format" (Stanford, 1994): a text header that names the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Point clouds from images, by the lens model of the instrument.
 
 Coordinates are metres in the frame of the camera: x right, y down, z along the optical axis away

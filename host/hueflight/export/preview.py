@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PNG previews: a plane of an image as a picture with colour bar, unit and limits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Zarr stores and NetCDF files, which hold the complete image with its labels."""
 
 from __future__ import annotations

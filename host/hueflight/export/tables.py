@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spectra of regions as CSV, for spreadsheets and statistics software."""
 
 from __future__ import annotations

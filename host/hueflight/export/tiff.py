@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Multi-page TIFF: every plane of an image is a page with its description."""
 
 from __future__ import annotations

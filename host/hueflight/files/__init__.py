@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that are written whole or not at all, their checksums, and the layout of an image."""
 
 from hueflight.files.atomic import (

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files and folders that appear under their name only when they are complete.
 
 Everything is written into a hidden folder beside its target and renamed from there: a full

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bands of an image by name, by number or by wavelength."""
 
 from __future__ import annotations

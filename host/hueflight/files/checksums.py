@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A list of a folder's files with their checksums, so that a damaged copy is noticed.
 
 Zarr reads a missing chunk as zeros without a complaint, and a chunk that was cut short may

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a valid image is, or a series of images: dimensions and variables that writers need."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a file is and holds, as `hueflight info` shows it."""
 
 from __future__ import annotations

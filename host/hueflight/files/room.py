@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Room on the disk under a folder, and whether it is still the same disk."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The joint maximum-likelihood fit: tables, NumPy definition and compiled solver.
 
 The names below are loaded when they are first used.

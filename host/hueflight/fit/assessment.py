@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether one surface explains a fitted pixel's counts: a cheap test of all pixels, and a full one.
 
 All tests use the bins of the search (a few to a pulse, which loses next to nothing) and the

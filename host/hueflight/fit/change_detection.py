@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tell which pixels of a new histogram differ from the last one that was fitted.
 
 Counts of the two histograms are compared in units of the standard deviation of their difference:

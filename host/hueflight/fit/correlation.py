@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cross-correlation of histograms and the centroid of its peak (paper, section 2)."""
 
 from __future__ import annotations

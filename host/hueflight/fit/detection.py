@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a pixel shows a surface at all: likelihood ratio of pulses against background alone.
 
 Twice the log-likelihood ratio at the fit's own parameters is compared with one threshold for any

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of the fit as the compiled kernel reads them: flat arrays in vectors of bins or lags."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The joint fit of delay, one amplitude per band and a flat background: its definition.
 
 Maximum likelihood for Poisson counts, in four steps:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of the search over whole lags of the wide bins."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well the fit explains counts that were smoothed because the bins do not resolve the pulse.
 
 Counts averaged 1 : 2 : 1 over neighboring bins (`model.undersampling`) scatter less than Poisson

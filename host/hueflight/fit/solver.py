@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The joint fit behind one function, compiled where possible: arguments are checked here.
 
 The compiled kernel is used where it was built and has room for the bands; see `hueflight.backend`.

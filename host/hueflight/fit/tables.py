@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of the model over the delay, computed once per calibration.
 
 The fit compares counts with μ_i(τ) = Σ_k A_k T_ki(τ) + b·w_i, where T_ki is the share of band k's

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sparse tables of the model over the delay: only the bins that a pulse lights are stored.
 
 A pulse lights few of a sensor's bins, at any delay. Tables therefore hold *tiles* of successive

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Readers of counts from files of any camera, and of reconstructed images."""
 
 from hueflight.importers.captures import Capture, read_capture, write_counts

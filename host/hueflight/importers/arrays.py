@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts in NumPy, Zarr and HDF5 files, and the instrument that such a file may describe."""
 
 from __future__ import annotations

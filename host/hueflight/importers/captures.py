@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Captures from files: recordings of packets, or counts of any camera."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts of any camera from files, through an `Instrument`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images from Zarr stores and NetCDF files, which are checked to be complete."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a file of counts, a calibration, an image or an instrument description is and holds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts in MATLAB files: version 5 to 7 by SciPy, version 7.3, which is HDF5, by h5py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options of reading counts, which say what to take from a file."""
 
 from __future__ import annotations

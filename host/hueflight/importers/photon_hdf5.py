@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Photon-HDF5: lists of single photons with time stamps, as single-molecule labs exchange them.
 
 Format: A. Ingargiola et al., Biophys. J. 110, 26 (2016), and photon-hdf5.org.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registry of the readers of files of counts, by file extension.
 
 A reader of another kind of file is one more line in `READERS`, or, in another package, an entry

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Histograms from PicoQuant PTU and Becker & Hickl SDT files.
 
 Both count bins forward from the sync pulse: an instrument for them has

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Histograms as text: tables (CSV), and the logs of time-of-flight modules (JSON)."""
 
 from __future__ import annotations

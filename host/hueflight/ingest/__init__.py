@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ingest: count the packets of the camera into histograms, at the full rate of the sensor.
 
 >>> import hueflight as hf

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts that frames are added to, and the policies for a counter that is full."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bounded buffer between a live stream of bytes and the kernels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The interface to the two kernels, compiled or in NumPy, whose results are bit-identical.
 
 Both implementations are modules with the functions `scan` and `count`; `hueflight.backend` decides

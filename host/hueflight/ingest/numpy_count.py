@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counting in NumPy: reference implementation of ``_c/count.h``, and fallback without a compiler.
 
 The payloads that all frames have for a chunk are counted together, so that each NumPy call does

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scanning of many frames at once, which `numpy_scan.scan` uses where there is no damage.
 
 The chunks of one frame have to be visited one after the other, but many frames can be processed

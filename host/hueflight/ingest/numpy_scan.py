@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scanning in Python: reference implementation of ``_c/scan.h``, and fallback without a compiler.
 
 `scan` finds packets by the rules of `hueflight_protocol.PacketParser`, with the two exceptions

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Totals of ingest: every packet that was received, and every one that was lost."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scanning of a stream in pieces: the tables that the kernels fill, and the state in between."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sums of the latest histograms of a stream, kept up to date as it moves on."""
 
 from __future__ import annotations

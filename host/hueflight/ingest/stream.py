@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live histograms: a stream of bytes in, a histogram for every block of frames out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of live pictures: what the daemon sends and clients read, defined once for both.
 
 The page *Live pictures* of the documentation specifies the format.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reconstructed images as exact messages, and back: every variable as it was."""
 
 from __future__ import annotations

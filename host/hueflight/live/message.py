@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A message of planes: a JSON header, and arrays that a reader uses as they lie in memory.
 
 A message is, in this order: four bytes, little-endian, with the size of the header; the header,

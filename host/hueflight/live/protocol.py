@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names that the daemon and its clients agree on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Physics of the measurement: instrument, pulses, time bins, waveforms, spectra and pile-up."""
 
 from hueflight.model.background_shape import BackgroundShape

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Background that is not constant in time: a linear ramp, or a slow exponential decay."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emission spectra of the LEDs, measured or nominal, and how far they overlap."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check of the histograms that users hand in."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Description of an instrument: bands and their schedule, sensor, lens. Read strictly from TOML.
 
 An `Instrument` is all that the rest of the host software needs to know about the origin of

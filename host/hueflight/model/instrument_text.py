@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An instrument as TOML text, and the meaning of each entry as its class documents it.
 
 The classes are in `hueflight.model.instrument`, which imports this module.

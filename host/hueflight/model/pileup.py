@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pile-up: what a sensor that records one photon per exposure loses, and its correction.
 
 An exposure spans one or many periods. Whether a photon is recorded depends on how many came

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Optical pulses: a Gaussian with an exponential tail, on the circle of the period.
 
 LEDs rise faster than they fall. The exponentially modified Gaussian is the usual model of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When to fire which LED: the unambiguous range of a schedule, and the search for a better one.
 
 An object whose light returns after one delay can be mistaken for an object at another delay if

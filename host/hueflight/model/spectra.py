@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spectra of LEDs, detector and surfaces on one wavelength grid, and what bands detect of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Codes in order of photon arrival time, on the circle of the period."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pulses that are too short for a sensor's bins to resolve, and the smoothing that they need."""
 
 from __future__ import annotations

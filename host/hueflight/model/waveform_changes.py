@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waveforms that arrive later, last longer, or are drawn out by an exponential delay."""
 
 from __future__ import annotations

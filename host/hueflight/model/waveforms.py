@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waveform of each band on the circle of the period, measured and independent of any pulse model.
 
 A waveform is a periodic cubic spline with coefficients that are never negative; B-splines are

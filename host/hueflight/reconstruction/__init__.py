@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From histograms to images: depth, reflectance, uncertainty and the limits of all three.
 
 The names below are loaded when they are first used.

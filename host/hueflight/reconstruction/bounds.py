@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cramér–Rao bounds of depth and reflectance: what no unbiased estimator can beat.
 
 Poisson counts h_i with mean λ_i(θ) have the Fisher information I_ab = Σ_i ∂_a λ_i ∂_b λ_i / λ_i

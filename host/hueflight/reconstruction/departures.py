@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to do about departures from the calibration: correct them, or widen the deviations.
 
 LEDs that drifted and background that is not flat are corrected. Tails and flare can't be: their

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What stated deviations contain besides the photon noise that the fit computes.
 
 1. *Strong background.* The fit takes the information about the delay at the amplitudes that it

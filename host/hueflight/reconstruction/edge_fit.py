@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether an edge pixel's counts are those of two surfaces that its neighbors show.
 
 The neighbors tell the depths and the spectra of a near and of a far surface, so that only three

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Edges: pixels about which the image shows a near and a far surface.
 
 In the window about each pixel, the depths of a near and of a far surface are estimated. Where they

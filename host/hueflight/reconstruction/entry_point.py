@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The entry points of reconstruction: a histogram or packets in, an image out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every method returns: plain arrays, not yet labeled."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Build the image: estimates labeled with dimensions, wavelengths and units."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a whole picture obeys its calibration, and what is off if it does not.
 
 Drifts that one pixel can't show are plain in all pixels together. The check fits some of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check a histogram and prepare it for the methods, in one pass over its counts."""
 
 from __future__ import annotations

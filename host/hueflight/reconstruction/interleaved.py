@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Schedules that alternate frame by frame, fitted together from one histogram of each.
 
 One schedule alone can't tell which LED was reflected by an object of a single color. Two can: the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images by the joint maximum-likelihood fit, in metres and reflectance."""
 
 from __future__ import annotations

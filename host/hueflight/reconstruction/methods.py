@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The registry of methods: a name for each way to estimate an image from a histogram.
 
 A new method is one module (or object) with the two members of `Estimator`, and one line in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Mixed pixels: those at an edge that see two surfaces, whose depth may lie where nothing is.
 
 A pixel that sees the edge of a near surface in front of a far one collects light of both. Where
@@ -152,7 +153,7 @@ def plateaus_of(
     planes[..., 2 + bands :] = np.moveaxis(signal_std, 0, -1)
     about = neighbors(planes, edges.row, edges.col)  # pixel, neighbor, plane
     light = about[..., 2:]
-    known = np.isfinite(light).all(axis=-1)
+    known = np.asarray(np.isfinite(light).all(axis=-1))
     light[~known] = 0.0
     light[..., bands:] **= 2
     # a mixed pixel is no member: it differs from both surfaces

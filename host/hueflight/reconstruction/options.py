@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options of reconstruction, and the parts of an image that are asked for."""
 
 from __future__ import annotations

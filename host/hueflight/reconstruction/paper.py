@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The published method: correlation with a reference, centroid, shifted window sums.
 
 It is kept as published: equation (2) subtracts no background. It is the baseline that better

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled kernel of the published method: its arguments are prepared once per calibration."""
 
 from __future__ import annotations

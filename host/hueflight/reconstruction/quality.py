@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Quality flags of an image's pixels: why a number is missing or less than it seems."""
 
 from __future__ import annotations

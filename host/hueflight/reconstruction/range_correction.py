@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The inverse-square law: from the signal relative to the reference target to reflectance.
 
 A surface twice as far away as the reference target returns a quarter of its light. Whether the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a pixel shows a surface at all, for methods whose fit is not that of the joint method.
 
 A pixel shows a surface if pulses at some delay explain its counts better than background alone; how

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Give mixed pixels the depths of both surfaces that they see, in estimates and in images."""
 
 from __future__ import annotations

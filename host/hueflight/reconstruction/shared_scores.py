@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scores of departures that all pixels of a picture share.
 
 A departure, such as a later LED, changes the expected counts of every pixel along a *direction*.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When a capture may stop: a share of the pixels is known precisely enough."""
 
 from __future__ import annotations

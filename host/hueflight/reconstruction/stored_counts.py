@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts that stay on disk and are read in blocks of rows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Confidence intervals of reflectance that have the stated coverage with few photons, too.
 
 The number of photons of a band has a variance that grows with the band's own light. An interval of

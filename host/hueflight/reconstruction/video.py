@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images of successive histograms: pixels that have not changed keep their result.
 
 A pixel is fitted again when its counts differ from those behind its last fit by more than chance

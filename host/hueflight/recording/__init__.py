@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings: the camera's packets exactly as received, in MCAP files that survive a crash.
 
 >>> import tempfile

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finish, in place, the segments that a crash or an error of the disk has cut off."""
 
 from __future__ import annotations

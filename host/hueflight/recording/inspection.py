@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a recording is and holds, and whether its files are whole."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contents of a recording besides packets, and the names of its files.
 
 This module is the only place that knows how the files of a recording are named: ask `segment_path`,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading recordings: any slice of frames or time, without reading the rest."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MCAP records, written and read with every size checked.
 
 A recording is plain MCAP: https://mcap.dev/spec. The `mcap` library encodes all records except the

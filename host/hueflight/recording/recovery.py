@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recovery of all intact packets from damaged or unfinished recordings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One file of a recording: appended record by record, finished with an index, then renamed."""
 
 from __future__ import annotations

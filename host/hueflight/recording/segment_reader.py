@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One finished file of a recording: description, index, and bytes on demand."""
 
 from __future__ import annotations

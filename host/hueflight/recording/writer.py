@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing recordings: raw packets as received, safe against crashes and full or slow disks."""
 
 from __future__ import annotations

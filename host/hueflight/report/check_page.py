@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page that shows how an instrument has changed since its calibration."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a description's check: a capture, and the pulses that were described."""
 
 from __future__ import annotations

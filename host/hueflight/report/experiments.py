@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's experiments, carried out with the simulated instrument.
 
 Each experiment returns a frozen dataclass with the measured values, the true ones and, where there

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures of the report: each function draws one of the paper's figures from the findings."""
 
 from __future__ import annotations

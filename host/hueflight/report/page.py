@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts of self-contained HTML pages: style sheet, pictures and sections."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Preview of an image: depth, and three bands as an RGB picture."""
 
 from __future__ import annotations

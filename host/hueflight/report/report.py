@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report itself: a self-contained HTML page and its figures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common style of all figures of the report."""
 
 from __future__ import annotations

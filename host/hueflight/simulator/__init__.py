@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated instrument: scenes with a known truth, and captures of them with photon noise.
 
 The probability of every code is computed exactly from the light budget, and codes, packets or

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is true of a simulated capture beyond one depth and one spectrum per pixel."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Light budget: how many photons each pixel is expected to detect per period."""
 
 from __future__ import annotations

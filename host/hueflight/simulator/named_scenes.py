@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scenes that can be chosen by name, and their layout for an instrument."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes with empty regions: directions from which no LED light returns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The scenes of the paper: a brick wall with a window and a horse in front of a board with logos.
 
 They appear in the paper's Figs. 1, 4, 5, 6 and 7. The paper gives distances and colours but no

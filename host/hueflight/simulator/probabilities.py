@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Probabilities of codes of a first-photon sensor, exact for a periodic light signal.
 
 Within a period, the first photon falls into bin i with probability

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Codes and histograms drawn at random from the probabilities of codes."""
 
 from __future__ import annotations

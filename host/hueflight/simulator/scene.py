@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A scene from an instrument's point of view: depth, surface and illumination of every pixel.
 
 Scenes consist of flat layers that face the camera. They are described in metres, so that any

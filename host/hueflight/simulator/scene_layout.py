@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A scene independent of the instrument: its layers, their surfaces and named regions."""
 
 from __future__ import annotations

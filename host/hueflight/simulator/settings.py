@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of a simulation: light level, imperfections of the sensor, and strength of the LEDs."""
 
 from __future__ import annotations

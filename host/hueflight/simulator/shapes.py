@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shapes of the objects in a scene, as functions of positions in metres right and down."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated captures: the scene, the white reference, single LEDs, dark and flat."""
 
 from __future__ import annotations

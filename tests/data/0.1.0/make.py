@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the files of this folder with version 0.1.0 of Hueflight.
 
     python make.py

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boards: pins that exist once, pins that must be told, and messages that say what there is."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A board and a design so small that they are built in seconds."""
 
 from collections.abc import Callable

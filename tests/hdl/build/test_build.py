@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Real builds: margins, bit-identical repetition, and what happens where a clock falls short."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Constraints keep their clocks through synthesis, or the build ends."""
 
 import json

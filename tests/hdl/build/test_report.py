@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reports of place and route: clocks and cells, and the margin that decides."""
 
 import json

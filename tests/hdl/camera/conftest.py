@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives a formatter clock by clock, in Amaranth's simulator."""
 
 from collections.abc import Callable, Sequence

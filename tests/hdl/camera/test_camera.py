@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole camera in compiled simulation: a small one under every kind of trouble."""
 
 from itertools import islice

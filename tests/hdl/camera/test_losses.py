@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A camera of full size on a link that stalls: what is lost is lost whole, and counted."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command: help, refusals without tracebacks, projects for other toolchains."""
 
 import pytest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plain counter saturates, says so, and starts again when it is cleared."""
 
 from amaranth.sim import Simulator

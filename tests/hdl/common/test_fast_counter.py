@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fast clock's counter against plain counting, across its halves and at its end."""
 
 from __future__ import annotations

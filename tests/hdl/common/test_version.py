@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hash of the sources changes with the gateware, and with nothing else."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Engine and register file against the software register file, request by request."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small illuminator in simulation, and the host's driver on its serial pins."""
 
 from __future__ import annotations

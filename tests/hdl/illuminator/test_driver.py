@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host's driver on the gateware's serial pins: what is asked for is what the LEDs do."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Everything that can go wrong on the serial pins: nothing changes, it is counted, work goes on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole illuminator against the plain model: every edge of every LED, equal to the tick."""
 
 from __future__ import annotations

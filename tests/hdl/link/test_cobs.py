@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """COBS in gateware against the software codec, byte for byte, with any pauses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What lies between the camera and the vendor's pipes; the vendor's own modules are not public."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The serial line at any rate, off by as much as two clocks of boards can be, and in noise."""
 
 from __future__ import annotations

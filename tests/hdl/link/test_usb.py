@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera's USB device against a model of a host: enumeration, control, and a lossless stream.
 
 The host's CRCs are checked against published values before anything is believed of it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The seam between the camera and bulk endpoints, and the pins of the FT601, clock by clock."""
 
 import numpy as np

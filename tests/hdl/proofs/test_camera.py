@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera's proofs, and that each of them can fail."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of the illuminator hold, and false variants of each are rejected."""
 
 from __future__ import annotations

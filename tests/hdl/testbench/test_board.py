@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole generated top of ECP5 boards: Table 1, and no LED stays on when the PLL loses lock."""
 
 from __future__ import annotations

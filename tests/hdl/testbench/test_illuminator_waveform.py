@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drawn and dumped trains show what the pins do; jitter is what sampling theory says."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The wall clock jumps while a capture is on: durations, books and recordings don't notice."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame accounting: each lost frame is counted once, at one place."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Captures that end when a share of the pixels is known well enough, on simulated instruments."""
 
 from __future__ import annotations

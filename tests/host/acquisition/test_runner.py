@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs, gaps, recordings and stop rules on a rig in memory whose cable can be pulled."""
 
 from __future__ import annotations

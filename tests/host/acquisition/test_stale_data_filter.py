@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A stream is cut at the first packet of its run, however it comes in pieces."""
 
 from __future__ import annotations

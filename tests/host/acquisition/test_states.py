@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The states of an acquisition follow one another as the table allows, whatever happens."""
 
 from __future__ import annotations

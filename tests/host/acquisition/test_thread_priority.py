@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must not be late is scheduled first, as far as the system lets it."""
 
 from __future__ import annotations

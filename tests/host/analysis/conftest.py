@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images of known truth with known Gaussian noise."""
 
 from collections.abc import Callable

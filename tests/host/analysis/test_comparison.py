@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What changed is found, what did not is left alone, at the rates that are promised."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Patterns of light that are known, through noise, and images freed from them."""
 
 import numpy as np

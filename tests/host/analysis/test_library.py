@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference spectra: recognised in a simulated scene, colours against published figures."""
 
 from pathlib import Path

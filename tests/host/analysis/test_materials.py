@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bands by wavelength, spectral indices and unmixing, with the coverage of their deviations."""
 
 from __future__ import annotations

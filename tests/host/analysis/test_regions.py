@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Means of regions and cuts: by hand, and their errors by repetition."""
 
 from collections.abc import Callable

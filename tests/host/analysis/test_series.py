@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Series of captures: stacked, and their trends with honest errors."""
 
 from collections.abc import Callable

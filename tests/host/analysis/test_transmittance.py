@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A filter and a slab in the light's way, through the whole chain."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """C and Python of the kernels have one declaration, and a stale build is refused."""
 
 import inspect

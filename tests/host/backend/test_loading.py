@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One place decides which kernels run, and says why."""
 
 import re

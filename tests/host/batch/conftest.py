@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A few captures of a small camera, with its calibration, in a folder."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many captures: the same images as one by one, nothing done twice, failures alone."""
 
 import json

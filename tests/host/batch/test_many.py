@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two hundred captures by one worker, by two, and by a Dask cluster: the same images."""
 
 from collections.abc import Callable

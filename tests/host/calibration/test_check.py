@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A new capture of the reference tells what has changed since the calibration."""
 
 import msgspec

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Descriptions that are right, and descriptions with one fault each."""
 
 import re

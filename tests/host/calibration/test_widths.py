@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Widths of codes from steady light, with all imperfections that the simulator knows."""
 
 import numpy as np

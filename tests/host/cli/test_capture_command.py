@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`hueflight capture` as people call it, on the simulated instrument."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The commands as a person types them: results, messages, exit codes; never a traceback."""
 
 import ast

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `hueflight reconstruct` that check the whole picture."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`hueflight info` on everything that is read or written, whole and damaged."""
 
 from __future__ import annotations

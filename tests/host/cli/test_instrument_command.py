@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Making, checking and showing an instrument on the command line."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Quick commands load only what they need. No test on time: `tools/bench/startup.py` measures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`hueflight view` of images, counts and both."""
 
 import numpy as np

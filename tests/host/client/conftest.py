@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A daemon as people run it, with the simulated instrument, on loopback."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a client says when there is no daemon at the address, or another one."""
 
 from __future__ import annotations

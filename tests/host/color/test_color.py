@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Colours and spectra behind the bands, against measured LEDs, measured surfaces and the CIE."""
 
 from pathlib import Path

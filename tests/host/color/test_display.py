@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Filling for the eye, the three-band picture, colours of wavelengths."""
 
 import numpy as np

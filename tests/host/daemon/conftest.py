@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A daemon's application over a camera in memory."""
 
 from __future__ import annotations

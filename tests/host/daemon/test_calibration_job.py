@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration is never made of part of its frames in silence."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Configuration: strict, and safe beyond loopback."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fit from picture to picture: pixels that did not change keep their estimates for a while."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The udev rules and the systemd unit, checked by the tools that will read them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live pictures: each is of the newest frames, whatever the order in which pieces come."""
 
 from __future__ import annotations

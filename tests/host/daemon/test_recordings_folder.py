@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No name from a client leads out of the data folder."""
 
 from __future__ import annotations

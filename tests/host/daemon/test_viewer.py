@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of a file: complete in itself, and the fit in it is that of the calibration."""
 
 import base64

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A board in software behind a pseudo terminal: what a serial port is, without the wire."""
 
 from __future__ import annotations

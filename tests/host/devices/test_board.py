@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests over lines that lose, damage and delay messages."""
 
 from __future__ import annotations

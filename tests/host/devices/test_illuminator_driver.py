@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator as the illumination of captures, over a pseudo terminal and real pyserial."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The illuminator's driver on a serial port of the operating system: a pseudo terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigs by address: the grammar, the registry, and what a part may bring."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What libusb reports, in words that say what to do."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera model against the protocol's own encoder and parser, with a clock of the test's."""
 
 from __future__ import annotations

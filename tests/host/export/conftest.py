@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One image of a simulated scene, small but with everything in it."""
 
 from collections.abc import Callable

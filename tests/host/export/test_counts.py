@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Histograms and photon lists in HDF5, read by h5py."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ENVI cubes opened by Spectral Python."""
 
 from collections.abc import Callable

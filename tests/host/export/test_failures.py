@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whatever goes wrong, nothing half-written stands under a final name."""
 
 import errno

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Foxglove's message types, read by its own decoder of MCAP."""
 
 from __future__ import annotations

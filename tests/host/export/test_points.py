@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Point clouds: a PLY reader written from the format's description, and laspy for LAS."""
 
 import json

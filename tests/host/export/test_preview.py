@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures opened by Pillow, their colours turned back into numbers by their own bar."""
 
 from pathlib import Path

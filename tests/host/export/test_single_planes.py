@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Depth in millimetres, single planes, colors of channels, and bands by their names."""
 
 import xml.etree.ElementTree as Xml

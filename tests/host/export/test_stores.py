@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Zarr and NetCDF: opened by xarray and, beneath it, by h5py and as plain JSON."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """CSV of region spectra, read by pandas and by the csv module."""
 
 import csv

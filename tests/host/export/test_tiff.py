@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TIFF read by tifffile and by Pillow; OME-TIFF held against the published schema."""
 
 import json

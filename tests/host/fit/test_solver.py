@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled fit against its definition: the same results to single precision's rounding."""
 
 import msgspec

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sparse tables of the model against waveforms evaluated in every bin."""
 
 import numpy as np

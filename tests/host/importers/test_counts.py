@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts of any camera from NumPy, Zarr and HDF5 files."""
 
 import sys

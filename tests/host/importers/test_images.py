@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images come back as they were written, or not at all."""
 
 from pathlib import Path

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MATLAB, Photon-HDF5, CSV and module logs, written by other libraries or by hand."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PTU files written by `ptufile`, SDT files written here from the format's structures."""
 
 import struct

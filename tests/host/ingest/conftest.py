@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Streams of packets with known codes, and both kernels."""
 
 from collections.abc import Callable, Iterable

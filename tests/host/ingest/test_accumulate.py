@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets to histograms in one call: counts, reports, policies, errors."""
 
 from collections.abc import Callable

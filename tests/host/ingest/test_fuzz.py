@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Short runs of the fuzzers in tools/fuzz, and the gate on instructions."""
 
 import shutil

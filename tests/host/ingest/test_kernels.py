@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The kernels against the reference parser, and the compiled ones against those in NumPy."""
 
 from collections.abc import Callable

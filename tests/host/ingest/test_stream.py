@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Live streams: pieces of any size, blocks, sliding windows, histograms by step."""
 
 import tracemalloc

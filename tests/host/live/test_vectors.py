@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The golden vectors of picture messages, read in Python and by the live page's own module."""
 
 from __future__ import annotations

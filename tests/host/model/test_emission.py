@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emission spectra: what they must be like, and their overlap."""
 
 import numpy as np

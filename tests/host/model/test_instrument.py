@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Instrument files: the paper's figures, strictness, and errors that say what to do."""
 
 from pathlib import Path

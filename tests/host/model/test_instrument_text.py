@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TOML that is written is read as an equal instrument; the documents list every entry."""
 
 import shutil

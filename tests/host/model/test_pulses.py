@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pulses against scipy.stats.exponnorm and numerical integration."""
 
 import numpy as np

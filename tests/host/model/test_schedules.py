@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Schedules: how far they range by closed forms and by brute force, and the designer's promises."""
 
 import numpy as np

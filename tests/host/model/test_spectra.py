@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emission and reflectance spectra against the paper's Table 1 and against measured ones."""
 
 import numpy as np

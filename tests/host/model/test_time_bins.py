@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Codes and time: every photon's code, worked out one by one, against the bins."""
 
 from math import floor

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waveforms that change, against pulses in continuous time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether one surface explains a pixel's counts: false flags, power, and the compiled tests."""
 
 import dataclasses

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Against the table of limits that was computed for Gaussian pulses of the paper's Table 1."""
 
 import msgspec

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stated uncertainty and bias against what happens: intervals cover as often as they say."""
 
 import msgspec

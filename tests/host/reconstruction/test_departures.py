@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The check of a whole picture, and what is done about what it finds.
 
 Pictures are drawn from pulses in continuous time; the calibration's waveforms are those pulses, so

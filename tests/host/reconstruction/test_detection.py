@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a pixel shows a surface at all: false alarms, misses, and the compiled test."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stated deviations hold where the calibration is noisy, background strong or occupancy high."""
 
 import json

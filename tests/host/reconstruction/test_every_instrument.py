@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint and pooled methods on many kinds of instruments, against a model without project code."""
 
 import numpy as np

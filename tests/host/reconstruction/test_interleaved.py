@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two interleaved schedules, fitted together: far ranges, one-colour objects, precision."""
 
 import dataclasses

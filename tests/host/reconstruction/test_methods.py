@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Methods are found by name; a new one needs an object and a line."""
 
 from types import SimpleNamespace

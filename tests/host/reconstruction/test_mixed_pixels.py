@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pixels at edges: flagged where their depth lies between two surfaces, and only there.
 
 Pixels see a disc in front of a wall, or a tilted plane, by 8 × 8 rays each, in a model that shares

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the joint fit leaves out: with and without each skip the image is the same."""
 
 from dataclasses import replace

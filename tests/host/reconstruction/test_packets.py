@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets to an image in one call: the same as in two, whatever memory it works in."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's method compiled, against its definition: the same to single precision's rounding."""
 
 from dataclasses import fields, replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pile-up within a period, where an exposure is a single period: correction against simulation."""
 
 import msgspec

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `reflectance` is: corrected for the distance by default, and labeled either way."""
 
 import numpy as np

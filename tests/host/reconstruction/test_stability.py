@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers at their edges: no warning (they are errors here), no NaN without a flag, no nonsense.
 
 Bad input that must be refused (NaN, infinities, negative counts) is in `test_bad_input`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stop rule: shares of pixels, and how many frames a rule will take."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Histograms that stay on disk: the same image, and memory that does not grow with the file."""
 
 import subprocess
@@ -10,7 +11,7 @@ import zarr
 
 import hueflight as hf
 from hueflight.errors import HistogramError, MemoryLimitError
-from hueflight.memory import VARIABLE
+from hueflight.memory import LIMIT_NAME
 from hueflight.reconstruction import stored_counts
 
 
@@ -95,7 +96,7 @@ def test_other_methods_are_refused_where_counts_do_not_fit(setting, tmp_path, mo
     _, calibration, counts = setting
     stored = as_zarr(tmp_path, counts)
     monkeypatch.setattr(stored_counts, "BLOCK_BYTES", 1)
-    monkeypatch.setenv(VARIABLE, "1 kB")
+    monkeypatch.setenv(LIMIT_NAME, "1 kB")
     for method in ("pooled", "joint"):
         with pytest.raises(MemoryLimitError, match="the reconstruction of 240 pixels"):
             hf.reconstruct(stored, calibration, method=method)

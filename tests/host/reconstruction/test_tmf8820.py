@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same calibrate and reconstruct on a real sensor: a plane moved by a robot arm.
 
 ams TMF8820, 80 captures at known distances; each carries the sensor's own reference pulse.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Video: what has not changed keeps its values and is flagged; what has is seen."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small recordings with known codes."""
 
 from collections.abc import Callable

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Full disks, bad disks, short writes: said at once, nothing written is lost, books are kept."""
 
 import errno

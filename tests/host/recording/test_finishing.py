@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings that were cut off are finished in place, with every frame that was in a file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing and reading recordings: what comes back, slices, files, errors."""
 
 import struct

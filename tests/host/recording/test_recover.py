@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recovery: everything that is intact comes back, nothing is invented, the verdict is right."""
 
 import os

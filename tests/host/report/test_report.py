@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The demo report on a small sensor: complete, self-contained, and true to its numbers."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Small instruments, and the statistics that the tests share."""
 
 from collections.abc import Callable

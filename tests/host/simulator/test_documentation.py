@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What docs/simulator.md says runs, and its numbers hold."""
 
 import re

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The light budget: distance, angle, power, and what the settings change."""
 
 from math import pi

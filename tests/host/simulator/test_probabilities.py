@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """p(code) against closed forms and against a brute-force simulation of the photons themselves."""
 
 from dataclasses import replace

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Both samplers against p(code) and against each other."""
 
 import numpy as np

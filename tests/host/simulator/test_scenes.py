@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes: what lies where, what is lit, and that any instrument sees the same thing."""
 
 import numpy as np

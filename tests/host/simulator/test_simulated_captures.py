@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Captures by kind, as histograms and as packets."""
 
 from itertools import pairwise

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The docstring checker looks at the right objects."""
 
 import subprocess

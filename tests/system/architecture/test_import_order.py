@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Imports go one way: down a stated order of packages, without a circle, functions included."""
 
 from __future__ import annotations

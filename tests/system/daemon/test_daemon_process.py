@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon on real USB stacks: the camera comes and goes, clients misbehave, it is killed."""
 
 from __future__ import annotations

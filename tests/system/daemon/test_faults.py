@@ -1,4 +1,5 @@
-"""Faults of disk and program under a running daemon: it says so, and every frame is accounted for."""
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of disk and program under a running daemon: it says so, and accounts for every frame."""
 
 from __future__ import annotations
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests by the thousand, made from the daemon's own description of its API."""
 
 from __future__ import annotations

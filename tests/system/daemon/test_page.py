@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live page in a real browser, on a daemon on real USB stacks."""
 
 from __future__ import annotations

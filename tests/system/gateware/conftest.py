@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tools that compile gateware, or a reason to skip."""
 
 import pytest

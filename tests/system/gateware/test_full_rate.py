@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver's settings on the gateware: frames come at the rate that an instrument states."""
 
 from itertools import islice

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop closed: simulated photons through the gateware's camera to an image."""
 
 import numpy as np

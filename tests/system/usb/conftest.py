@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emulated USB: real libusb, pyusb and libusb1 in a process of their own, a model behind them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """On USB, gateware and emulation say of themselves what the driver looks for."""
 
 from __future__ import annotations

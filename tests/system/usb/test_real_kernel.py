@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera driver on a real kernel's xHCI driver at SuperSpeed, in an emulated machine."""
 
 from __future__ import annotations

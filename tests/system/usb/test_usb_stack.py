@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera driver on real libusb, pyusb and libusb1, over every event a bus can bring."""
 
 from __future__ import annotations

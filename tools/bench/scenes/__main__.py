@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the reconstruction does on scenes, sensors and days as they are: a table of promises.
 
     python3 tools/dev.py bench scenes [GROUP ...] [--quick] [--write]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows of the table that says whether the project keeps its promises on scenes as they are."""
 
 from __future__ import annotations

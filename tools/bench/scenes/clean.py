@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes that obey the model: the reference for everything that does not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Departures that all pixels share: drift of LEDs, background that is not flat, tails."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stated deviations where the calibration is noisy or the background strong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draw edges of the scene of Fig. 1 before and after mixed pixels are separated.
 
     python3 tools/bench/scenes/edge_picture.py

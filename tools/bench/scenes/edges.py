@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pixels at edges that see two surfaces: how many wrong depths are left without a flag.
 
 Geometry and light of the scene of Fig. 1 come from the simulator's ground truth, by several rays

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A forward model of the paper's instrument that shares no code with the project.
 
 It draws the histograms on which the project is judged: pulses are exponentially modified

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether anything is there: background alone, faint surfaces, a real night sky, thin bars."""
 
 from __future__ import annotations

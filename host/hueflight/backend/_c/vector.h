@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* LANES floats at a time, in the compiler's vector types. Whoever includes this says how many: as
  * many as fit a register of the processor that the build is for. */
 #include <math.h>

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Access control: hosts, origins, tokens, and limits on requests.
 
 Every page in the user's browser can reach a daemon on loopback. Therefore a request must name a

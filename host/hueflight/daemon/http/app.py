@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The daemon's ASGI application: the live page, the API, metrics and health."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits on open connections: who asks for something is served, who only waits makes way."""
 
 from __future__ import annotations

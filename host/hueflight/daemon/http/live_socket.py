@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The web socket of live pictures: a viewer is sent as many as it takes, and delays nobody.
 
 The live page is sent the newest picture when it has answered that the last one is shown, and the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counters and gauges for Prometheus, taken from the same status that the page shows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Operations of the API: one table, from which routes and OpenAPI description are generated."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of the live page, read once at the start: no path from a client reaches the disk."""
 
 from __future__ import annotations

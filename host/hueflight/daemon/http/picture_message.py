@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A picture as one binary message; `hueflight.live.message` describes how messages are laid out."""
 
 from __future__ import annotations

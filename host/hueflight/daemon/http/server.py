@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Run the daemon: a socket, a web server with limits, and a shutdown that finishes recordings."""
 
 from __future__ import annotations

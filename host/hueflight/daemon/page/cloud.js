@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The points in space, each in the colour of its measured spectrum.
 
 import { Textures, context, fit, program } from "./gl.js";

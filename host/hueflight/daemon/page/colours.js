@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Colours: the map for depth, the look of a wavelength, and the bands shown as red, green and blue.
 
 import { COLORMAP } from "./colormap.js"; // made by the daemon from its own colour map

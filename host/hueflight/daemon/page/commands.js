@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Commands of the user: start, stop, record, calibrate, light or dark; and short messages.
 
 import { $ } from "./dom.js";

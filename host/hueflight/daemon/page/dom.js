@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Access to the elements of the page.
 
 /** The element with an id. */

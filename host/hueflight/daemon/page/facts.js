@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The status of acquisition in words and numbers.
 
 import { $ } from "./dom.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Input by keyboard, mouse and touch.
 
 import { beginCalibration, commands } from "./commands.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The connection to the daemon: requests, and a web socket that reconnects by itself.
 
 const RETRY_MS = [250, 500, 1000, 2000, 4000];

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The live page: starts its parts, and passes on what the daemon sends.
 
 import { restoreTheme, showButtons, showMessage } from "./commands.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Decodes a picture's binary message; docs/live-pictures.md specifies it.
 
 export const VERSION = 1;

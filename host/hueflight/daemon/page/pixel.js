@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The chosen pixel: its numbers and plots, and the mark on the picture.
 
 import { $ } from "./dom.js";

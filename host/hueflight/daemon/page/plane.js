@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The flat views: depth, colour, each band, photons.
 
 import { Textures, context, fit, program } from "./gl.js";

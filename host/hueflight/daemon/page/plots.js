@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The two plots of a pixel: its histogram with the bands' windows, its spectrum with error bars.
 
 import { wavelengthCss } from "./colours.js";

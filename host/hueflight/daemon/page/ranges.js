@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Ranges of the colour scales, which follow the pictures slowly.
 
 import { $ } from "./dom.js";

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // State of the page, shared by all its modules.
 
 export const state = {

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The views of a picture: which one is chosen, drawing it, and what stands around it.
 
 import { Cloud } from "./cloud.js";

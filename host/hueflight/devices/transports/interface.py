@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interface below the control protocol: what carries whole messages to a board and back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control messages on a serial line: COBS frames over whatever carries bytes."""
 
 from __future__ import annotations

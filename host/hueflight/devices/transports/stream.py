@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interface of the packet stream: pieces of bytes in order, and the link's statistics."""
 
 from __future__ import annotations

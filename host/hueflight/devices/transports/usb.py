@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cameras on USB: discovery, and control messages over bulk endpoints (pyusb)."""
 
 from __future__ import annotations

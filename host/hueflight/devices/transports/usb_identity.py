@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the camera shows itself on USB: identifiers, interfaces, endpoints.
 
 Two vendor-specific interfaces, so that control and stream can be claimed by different handles:

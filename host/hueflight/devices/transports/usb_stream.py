@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The packet stream over USB: several transfers always under way, memory bounded.
 
 While the reader keeps up, a finished transfer is copied into the queue and submitted again at

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Whether one surface explains a fitted pixel's counts; see assessment.py, which is the definition.
  * Sums over bins are made one pixel at a time, a vector of bins at once; what follows from them is
  * computed for as many pixels as there are lanes. */

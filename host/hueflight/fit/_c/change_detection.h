@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Whether a pixel's counts still are what they were when it was fitted; change_detection.py is the
  * definition. */
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Correlation of LANES pixels at once with their references. Counts are whole numbers, so that sums
  * of them are exact. */
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Counts in memory: reading, summing, and the correction of pile-up. */
 
 /* Where counts lie, and of which type: 'H', 'I' or 'f'. */

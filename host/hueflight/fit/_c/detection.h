@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Whether a pixel shows a surface at all: likelihood ratio of the fit against background alone. See
  * detection.py, which is the definition. */
 

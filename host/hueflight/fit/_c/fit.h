@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The joint fit of a tile of pixels: counts at all bin widths, search, scoring, likelihood. */
 typedef struct {
     double *delay, *deviation, *other, *amplitudes, *amplitude_std, *background, *detection;

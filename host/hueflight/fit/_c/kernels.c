@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The extension module: the joint fit, change detection and the published method, for Python. Their
  * definitions are reference.py and change_detection.py of hueflight/fit and paper.py of
  * hueflight/reconstruction.

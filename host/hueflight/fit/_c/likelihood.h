@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Likelihoods of two delays of one pixel, and around a maximum where photons are few. */
 
 /* A pixel's bins that hold counts, packed one after another. */

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The published method on LANES pixels at once: highest correlation, centroid, its deviation, window
  * sums. paper.py is the definition. */
 

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Fisher scoring of as many candidates as a vector has lanes: sums over bins for one candidate at a
  * time, a vector of bins at once; then the normal equations of all candidates, one in each lane. */
 

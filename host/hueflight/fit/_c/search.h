@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The first search: the likelihood of all lags, a vector of lags at once. */
 
 /* Log-likelihood of every lag of BATCH pixels, and which share of background each had; scores

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Transposes counts, so that a vector holds the same bin of LANES pixels, one in each lane: sums over
  * bins and shifts between them then need nothing from other lanes. */
 #ifdef __SSE2__

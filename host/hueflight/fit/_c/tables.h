@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The tables of the fit as packing.py lays them out, and the state of pixels during the fit. */
 #define MOST_SIZE (MOST_BANDS + 2)
 #define TILE 64        /* pixels at once */

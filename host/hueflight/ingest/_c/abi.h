@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Made by tools/generate_kernel_headers.py from hueflight/backend/ingest.py:
  * change that file and run the tool. */
 #ifndef HUEFLIGHT_INGEST_ABI_H

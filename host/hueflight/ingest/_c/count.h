@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* count: add the codes of a block of frames to histograms, one chunk of pixels at a time. */
 #ifndef CODE_WIDTHS /* the fuzzer compiles only the widths that it uses */
 #define CODE_WIDTHS(X) \

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* CRC-32C (Castagnoli), as defined in RFC 3720, appendix B.4.
  *
  * Eight bytes at a time by table. Where the processor has the crc32 instruction, three streams are

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Packets to histograms, at the rate of the sensor chip: the extension module.
  *
  * Two kernels. numpy_kernels.py holds the reference implementation of each, which is also the

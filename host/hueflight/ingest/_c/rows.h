@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Rows of the table: the counts of one pixel, one for each code, 16 or 32 bits wide.
  *
  * The counters of a tile are added to the rows of its pixels in a single pass; a second pass would

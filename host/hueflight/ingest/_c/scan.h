@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* scan: find the packets in a piece of a byte stream and keep track of their sequence numbers.
  *
  * The rules are those of hueflight_protocol.PacketParser: after damage, the next magic number is

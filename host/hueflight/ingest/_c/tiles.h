@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Tiles: the counters of 64 pixels stay in the cache while all frames of a block are counted, and
  * are then added to the table once. Counting frame by frame would scatter into a table that is
  * larger than any cache. */

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Window counters: in a chunk with few hits whose codes lie close together, as behind a time gate,
  * only a window of codes is counted, for all pixels of the chunk at once. This touches one cache
  * line of counters and a few lines of the table for each pixel. */

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* What reading the wire format takes: its numbers, which abi.h has from hueflight_protocol, and
  * loads of any alignment. */
 #ifndef HUEFLIGHT_WIRE_H

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Adaptive neighborhoods: they grow in rounds, and end where neighbors show something else."""
 
 from __future__ import annotations

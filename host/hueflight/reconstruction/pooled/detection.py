@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether a neighborhood shows a surface at all: likelihood ratio of pulses against background.
 
 A pool consists of neighbors that were chosen because they look alike, and its photons were counted

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images from a few photons per pixel: neighbors contribute photons where a pixel has too few.
 
 1. *Pilot*: the delay of each pixel from the likelihood of a white pulse train over a square that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loops over photons and over neighbors, compiled where possible: the same result either way.
 
 Few photons are handled one by one, not as a histogram: a list of arrival times per pixel. Neighbors
@@ -357,7 +358,10 @@ def square_counts(
         row, col = divmod(int(pixel), shape[1])
         inside = numbers[max(row - far, 0) : row + far + 1, max(col - far, 0) : col + far + 1]
         entries = np.concatenate(
-            [np.arange(photons.starts[line[0]], photons.starts[line[-1] + 1]) for line in inside]
+            [
+                np.arange(int(photons.starts[line[0]]), int(photons.starts[line[-1] + 1]))
+                for line in inside
+            ]
         )
         part = Photons(photons.starts[:0], photons.times_ns[entries], photons.weights[entries])
         cell = _cells(part, delays_ns[square], cells_per_ns, windows.size)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pools against the photons close by: what a pool smoothed over makes its depth less certain.
 
 Three things are compared with the depth of a pool. The depths of the pools around it differ where
@@ -195,6 +196,6 @@ def _parabola(
     if place is None:
         shift = np.divide(-slope, bend, out=np.zeros_like(bend), where=bend < 0)
     else:
-        shift = place - index
+        shift = np.asarray(place - index, np.float64)
     shift = np.clip(shift, -1, 1)
     return here + slope * shift + bend / 2 * shift**2, shift, bend

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Waveforms over the period, and the window in it that each band has to itself."""
 
 from __future__ import annotations

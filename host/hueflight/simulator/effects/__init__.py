@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of real scenes, sensors and days that an ideal model leaves out, each off by default.
 
 >>> Effects(pane_share=0.3).replace(pane_depth=0.5).pane_depth

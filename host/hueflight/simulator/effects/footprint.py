@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The footprint of a pixel: several rays spread evenly over its area instead of one at its centre.
 
 Pixels at the edge of an object then see two surfaces.

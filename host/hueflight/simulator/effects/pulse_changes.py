@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """LED pulses that are later, longer or drawn out compared with those of the description."""
 
 from __future__ import annotations

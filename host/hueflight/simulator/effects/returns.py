@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Light that comes back to a pixel with a delay of its own: one entry for each path."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A sensor that changed since its calibration: pixels that turned hot, time bins of other width."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which effects of real scenes, sensors and days a simulation contains, and how strong they are."""
 
 from __future__ import annotations

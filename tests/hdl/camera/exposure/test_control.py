@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exposures, triggers and frame syncs, to the clock."""
 
 import numpy as np

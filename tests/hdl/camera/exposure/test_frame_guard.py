@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A sensor that stops is a fault, and the camera goes on."""
 
 import pytest

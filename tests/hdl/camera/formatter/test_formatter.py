@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The formatter against the protocol's encoder, bit for bit."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The formatter at the sensor's size, 192×128, compiled: bit-exactness and rate."""
 
 from itertools import tee

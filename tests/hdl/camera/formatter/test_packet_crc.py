@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The CRC in gateware against the published check value and a library."""
 
 import google_crc32c

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The protocol's golden vectors, made again by the gateware."""
 
 import json

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The synthetic sensor against its model, and its model against what it promises."""
 
 from itertools import islice

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiled pulse generators, kept for all tests of a worker."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The gateware against its model: every edge of every channel, equal to the tick."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Programs: every unit of every step, in order, whatever units are and however often."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The API: what it does, and whom it does not let in."""
 
 from __future__ import annotations

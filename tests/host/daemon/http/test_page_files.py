@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The files of the live page as the daemon serves them."""
 
 from __future__ import annotations

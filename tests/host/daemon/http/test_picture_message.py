@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A picture's message, read back by the layout that the page knows."""
 
 from __future__ import annotations

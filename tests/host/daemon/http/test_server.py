@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The web server's patience: with requests that do not come in, and with nothing else."""
 
 from __future__ import annotations

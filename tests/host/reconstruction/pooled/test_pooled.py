@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures from a few photons a pixel: how good, how fine, and never across a step."""
 
 import dataclasses

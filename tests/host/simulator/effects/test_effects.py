@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Effects of the simulator against expectations from closed forms, written without its code."""
 
 import itertools

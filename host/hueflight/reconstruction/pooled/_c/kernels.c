@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The loops over photons and over neighbors of the pooled method; hueflight/reconstruction/pooled/
  * kernels.py defines the same in NumPy. */
 #define Py_LIMITED_API 0x030b0000

@@ -50,8 +50,10 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
     """Function that opens a daemon and gives a client of it."""
 
     @contextmanager
-    def opened(*, token: str | None = None, **server: Any) -> Iterator[TestClient]:
-        bank = FrameBank.random(instrument.sensor, occupancy=0.3, frames=16)
+    def opened(
+        *, token: str | None = None, bank: FrameBank | None = None, **server: Any
+    ) -> Iterator[TestClient]:
+        bank = bank or FrameBank.random(instrument.sensor, occupancy=0.3, frames=16)
         model = CameraModel(instrument.sensor, bank)
 
         def connect() -> Rig:

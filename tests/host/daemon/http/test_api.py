@@ -17,7 +17,9 @@ from starlette.websockets import WebSocketDisconnect
 
 import hueflight as hf
 from hueflight.daemon.http.operations import OPERATIONS
+from hueflight.emulation.frame_bank import FrameBank
 from hueflight.recording import open_recording
+from hueflight.simulator import simulate_capture, simulate_packets
 
 OpenDaemon = Callable[..., Any]
 BASE = "http://127.0.0.1:8470"
@@ -257,14 +259,16 @@ def test_what_is_to_be_known_needs_a_calibration(client: TestClient) -> None:
 
 
 def test_a_recording_ends_when_enough_is_known(
-    open_daemon: Callable[..., Any], instrument: hf.Instrument, draw: Any, tmp_path: Path
+    open_daemon: Callable[..., Any], instrument: hf.Instrument, tmp_path: Path
 ) -> None:
-    reference = draw(instrument, depth=0.4, photons=5000, frames=10**6)
+    reference = simulate_capture("reference", instrument, frames=20_000)
     kept = tmp_path / "data/calibrations/earlier/calibration.zarr"
     kept.parent.mkdir(parents=True)
     hf.calibrate(reference, instrument, distance=0.4).save(kept)
-    with open_daemon(requests_per_s=1000, burst=1000) as client:
-        wish = {"name": "known", "until_reflectance_std": 50.0, "share": 0.5}
+    # light of a target: without a return no reflectance is known, however long it lasts
+    bank = FrameBank(simulate_packets("reference", instrument, frames=512))
+    with open_daemon(bank=bank, requests_per_s=1000, burst=1000) as client:
+        wish = {"name": "known", "until_reflectance_std": 1.0, "share": 0.5}
         assert client.post("/api/recordings", json=wish).status_code == 200
         until(lambda: bool(status(client)["recording"]["last"]), "the recording has ended")
         last = status(client)["recording"]["last"]

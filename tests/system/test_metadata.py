@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Facts about the project that stand in several files agree, and each file says its license."""
 
 from __future__ import annotations

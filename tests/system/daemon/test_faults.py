@@ -219,6 +219,8 @@ def test_a_recording_that_was_cut_off_is_finished(start_simulated: Start, tmp_pa
     again = start_simulated(tmp_path / "data")
     until(lambda: again.get("/api/recordings")["recordings"][0]["finished"], "it is finished")
     assert frames_in(tmp_path / "data/recordings/cut.mcap") >= told
+    summary_file = tmp_path / "data/recordings/cut.json"  # written after the recording is whole
+    until(summary_file.exists, "its summary is written")
     summary = json.loads((tmp_path / "data/recordings/cut.json").read_text())
     assert summary["recorded_frames"] >= told
     assert "ended during the recording" in summary["failure"]

@@ -38,5 +38,6 @@ def install(folder: Path) -> None:
         return wrapped
 
     runner.WORK[State.RUNNING] = failing("acquisition", runner.WORK[State.RUNNING])
+    # methods are replaced in the running program: that is what this module is for
     Pictures._make = failing("pictures", Pictures._make)  # type: ignore[method-assign]
     RecordingWriter.write = failing("recorder", RecordingWriter.write)  # type: ignore[method-assign]

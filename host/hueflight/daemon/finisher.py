@@ -32,8 +32,6 @@ class Finisher:
     ----------
     busy : frozenset of str
         Names of the recordings that wait or are being finished.
-    problems : dict of str
-        Recordings that could not be finished, and why.
     """
 
     def __init__(self, folder: RecordingsFolder, /) -> None:
@@ -41,7 +39,6 @@ class Finisher:
         self._lock = threading.Lock()
         self._names: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self.busy: frozenset[str] = frozenset()
-        self.problems: dict[str, str] = {}
         self.thread = SupervisedThread(
             self._work,
             name="finisher",
@@ -89,7 +86,6 @@ class Finisher:
                 return
             with open_recording(path) as recording:
                 frames, size = recording.frames, recording.info().size
-            self.problems.pop(name, None)
             if not path.with_suffix(".json").exists():
                 summary: dict[str, Any] = {
                     "name": name, "recorded_frames": frames, "recorded_bytes": size,
@@ -97,7 +93,6 @@ class Finisher:
                 }  # fmt: skip
                 write_summary_file(path, summary)
         except (HueflightError, OSError) as error:
-            self.problems[name] = str(error)
             log.error("a recording can't be finished", name=name, reason=str(error))
             return
         log.warning("recording finished after a cut", name=name, frames=frames, segments=segments)

@@ -14,7 +14,7 @@ from hueflight.fit.tiles import TILE_BINS, Waveforms, count_tiles, make_tiles, s
 
 RATIOS = (3.0, 15.0, 75.0)  #: peak of a band over background that the search tries
 SHAPE_FLOOR = 1e-3  #: a bin counts for a band down to this part of the band's peak
-BYTES_PER_TILE = 1500  #: that the entries of a tile take while they are compared, measured
+BYTES_PER_COMPARED_TILE = 1500  #: that the entries of a tile take while they are compared, measured
 ZONE_FLOOR = 0.02  #: a band's zone ends where its share falls to this part of the highest
 
 
@@ -226,7 +226,7 @@ def search_bytes(
     """
     first, last = lag_range(range_ns, step_ns)
     lags_ns = np.arange(first, last + 1, dtype=np.float64) * step_ns
-    return BYTES_PER_TILE * count_tiles(sources, lags_ns)
+    return BYTES_PER_COMPARED_TILE * count_tiles(sources, lags_ns)
 
 
 def lag_range(range_ns: tuple[float, float], step_ns: float) -> tuple[int, int]:

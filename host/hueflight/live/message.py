@@ -198,4 +198,5 @@ def _plain(value: Any) -> Any:
     """NumPy numbers as Python's, for JSON."""
     if isinstance(value, np.generic):
         return value.item()
+    # what msgspec asks of such a hook for a type that it does not know
     raise NotImplementedError(f"JSON does not hold a {type(value).__name__}")

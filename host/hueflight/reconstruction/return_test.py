@@ -20,11 +20,11 @@ from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.joint import fit_chosen, search_range_ns, tables_for_calibration
 from hueflight.reconstruction.options import EstimatorOptions
 
-PLAIN = 28.0  #: of twice the log-likelihood ratio of all windows together against the rest
-PLAIN_BANDS = (
-    45.0  #: of that of each band's windows and the rest; with nine bands, background alone
-)
-#: exceeds either at one of twenty delays in less than one of 50 000 pixels
+#: Twice the log-likelihood ratio above which there is a surface without a closer look: of all
+#: windows together against the rest, and of each band's windows and the rest. With nine bands,
+#: background alone exceeds either at one of twenty delays in less than one of 50 000 pixels.
+PLAIN = 28.0
+PLAIN_BANDS = 45.0
 
 
 def without_return(

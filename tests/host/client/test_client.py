@@ -126,7 +126,7 @@ def test_refusals_give_the_reason_of_the_daemon(camera: Client, tmp_path: Path) 
     with pytest.raises(ClientError, match=r"no finished recording called 'other'"):
         camera.download("other", tmp_path)
     with pytest.raises(ClientError, match=r"'newes': choose one of newest, all"):
-        next(camera.pictures("newes"))  # type: ignore[arg-type]
+        next(camera.pictures("newes"))  # type: ignore[arg-type] # a user's typing error
 
 
 def test_asyncio_does_the_same(daemon: Daemon, tmp_path: Path) -> None:

@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 
 from hueflight.errors import RecordingError
+from hueflight.model.instrument import Instrument
 from hueflight.recording import RecordingWriter, finish_recording, open_recording
 from hueflight.recording.layout import part_path, segment_files, segment_path
 from hueflight.recording.recovery import Outcome, check_recording
 
-Make = Callable[..., object]
+Make = Callable[..., Instrument]
 
 
-def cut_off(path: Path, instrument: object, packets: list[bytes], *, segment_bytes: int) -> None:
+def cut_off(
+    path: Path, instrument: Instrument, packets: list[bytes], *, segment_bytes: int
+) -> None:
     """Write a recording, and leave it as a program does that is killed."""
-    writer = RecordingWriter(path, instrument, segment_bytes=segment_bytes)  # type: ignore[arg-type]
+    writer = RecordingWriter(path, instrument, segment_bytes=segment_bytes)
     for packet in packets:
         writer.write(packet)
         writer.flush()
@@ -33,7 +36,7 @@ def test_all_frames_are_kept(
     packets = frames(60)
     path, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
     cut_off(path, small(), packets, segment_bytes=segment_bytes)
-    with RecordingWriter(whole, small()) as writer:  # type: ignore[arg-type]
+    with RecordingWriter(whole, small()) as writer:
         writer.write(b"".join(packets))
     finished, unfinished = segment_files(path)
     assert len(unfinished) == 1

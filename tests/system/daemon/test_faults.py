@@ -128,7 +128,10 @@ def test_an_error_as_a_recording_begins(
         )
         assert "Input/output error" in daemon.status()["recording"]["last"]["failure"]
         before = daemon.status()["totals"]["delivered"]
-        until(lambda: daemon.status()["totals"]["delivered"] > before + 500, "frames come")  # noqa: B023
+        until(
+            lambda before=before: daemon.status()["totals"]["delivered"] > before + 500,
+            "frames come",
+        )
         faults.heal()
     assert daemon.status()["parts"]["acquisition"]["failures"] == 0
     healthy(daemon)
@@ -219,8 +222,6 @@ def test_a_recording_that_was_cut_off_is_finished(start_simulated: Start, tmp_pa
     again = start_simulated(tmp_path / "data")
     until(lambda: again.get("/api/recordings")["recordings"][0]["finished"], "it is finished")
     assert frames_in(tmp_path / "data/recordings/cut.mcap") >= told
-    summary_file = tmp_path / "data/recordings/cut.json"  # written after the recording is whole
-    until(summary_file.exists, "its summary is written")
     summary = json.loads((tmp_path / "data/recordings/cut.json").read_text())
     assert summary["recorded_frames"] >= told
     assert "ended during the recording" in summary["failure"]

@@ -12,6 +12,7 @@ from functools import cache
 
 import msgspec
 import numpy as np
+import xarray as xr
 from acceptance import Row
 from numpy.typing import NDArray
 from outside_model import COLORS, amplitudes, band_shares, drawn, edges_ns
@@ -78,10 +79,10 @@ def instrument_and_calibration(
     return instrument, hf.calibrate(reference, instrument, distance=1.0, bands=leds), cosine
 
 
-def flagged(image: object, *flags: hf.Quality) -> NDArray[np.bool_]:
+def flagged(image: xr.Dataset, *flags: hf.Quality) -> NDArray[np.bool_]:
     """Return the pixels of an image with one of these flags."""
     wanted = sum(int(flag) for flag in flags)
-    return (image["quality"].values & wanted) != 0  # type: ignore[index]
+    return (image["quality"].values & wanted) != 0
 
 
 class Tally:
@@ -94,15 +95,15 @@ class Tally:
 
     def add(
         self,
-        image: object,
+        image: xr.Dataset,
         depths: tuple[Floats, Floats],
         mixed: NDArray[np.bool_],
         judged: NDArray[np.bool_],
         share: Floats | None = None,
     ) -> None:
         """Add a picture whose pixels see surfaces at `depths`, two different ones if `mixed`."""
-        depth = image["depth"].values  # type: ignore[index]
-        std = image["depth_std"].values  # type: ignore[index]
+        depth = image["depth"].values
+        std = image["depth_std"].values
         mark = flagged(image, hf.Quality.MIXED, hf.Quality.MISFIT, hf.Quality.AMBIGUOUS)
         off = np.minimum(*(np.abs(depth - true) for true in depths))
         known = judged & np.isfinite(depth)
@@ -120,7 +121,7 @@ class Tally:
         }.items():
             self.sums[name] += int(value.sum())
         if share is not None:
-            found = image["near_share"].values  # type: ignore[index]
+            found = image["near_share"].values
             told = here & np.isfinite(found)
             self.shares.append((found - share)[told])
 
@@ -236,7 +237,7 @@ def _share_of_bars(width: float, seed: int) -> Floats:
     return hit.reshape(rows, RAYS, cols, RAYS).mean(axis=(1, 3))
 
 
-def _two_surfaces(share: Floats, near: str, far: str, step: float, seed: int) -> object:
+def _two_surfaces(share: Floats, near: str, far: str, step: float, seed: int) -> xr.Dataset:
     _, calibration, cosine = instrument_and_calibration(*DISC_SIZE)
     mean = flat_light(np.full(DISC_SIZE, 62.0))
     for part, color, depth in ((share, near, 1.0), (1 - share, far, 1.0 + step)):

@@ -196,7 +196,14 @@ def _stop_recording(service: Service, _: None) -> dict[str, Any]:
 
 
 def _recordings(service: Service, _: None) -> dict[str, Any]:
-    return {"recordings": service.folder.listing()}
+    # read first: a recording that is being finished has no summary yet, though its files are whole
+    busy = service.finisher.busy
+    return {
+        "recordings": [
+            entry | {"finished": entry["finished"] and entry["name"] not in busy}
+            for entry in service.folder.listing()
+        ]
+    }
 
 
 def _calibrate(service: Service, body: CalibrateBody) -> dict[str, Any]:

@@ -210,16 +210,25 @@ def add_pileup_noise(
     """
     level = tables.fine
     phases = level.phase_of(found.delay_ns + offsets_ns)
-    for pixel in np.flatnonzero(per_period > LARGEST_LOSS):
-        weights = correction_weights(light[pixel].astype(np.float64), per_period[pixel])
-        weights = np.add.reduceat(weights, level.starts) / np.diff([*level.starts, weights.size])
-        shares = level.shares[phases[pixel]].astype(np.float64)
-        slopes = level.slopes[phases[pixel]].astype(np.float64)
-        amplitudes = np.maximum(found.amplitudes[pixel], 0.0)
-        mean = amplitudes @ shares + max(found.background[pixel], 1.0) * level.widths
-        told = (amplitudes @ slopes) ** 2 / mean
-        found.delay_std_ns[pixel] *= np.sqrt(told @ weights / max(told.sum(), 1e-300))
-        found.amplitude_std[pixel] *= np.sqrt(shares @ weights / np.maximum(shares.sum(-1), 1e-300))
+    groups = np.diff([*level.starts, light.shape[-1]])
+    bright = np.flatnonzero(per_period > LARGEST_LOSS)
+    bright = bright[np.argsort(phases[bright], kind="stable")]
+    # pixels of one phase share its rows of the tables, which are made when asked for
+    for some in (
+        np.split(bright, np.flatnonzero(np.diff(phases[bright])) + 1) if bright.size else ()
+    ):
+        shares = level.shares[phases[some[0]]].astype(np.float64)
+        slopes = level.slopes[phases[some[0]]].astype(np.float64)
+        weights = correction_weights(light[some].astype(np.float64), per_period[some])
+        weights = np.add.reduceat(weights, level.starts, axis=-1) / groups
+        amplitudes = np.maximum(found.amplitudes[some], 0.0)
+        background = np.maximum(found.background[some], 1.0)[:, None]
+        told = (amplitudes @ slopes) ** 2 / (amplitudes @ shares + background * level.widths)
+        information = np.maximum(told.sum(axis=-1), 1e-300)
+        found.delay_std_ns[some] *= np.sqrt((told * weights).sum(axis=-1) / information)
+        found.amplitude_std[some] *= np.sqrt(
+            weights @ shares.T / np.maximum(shares.sum(axis=-1), 1e-300)
+        )
 
 
 def total_variance(photons: _Floats, exposures: _Floats, instrument: Instrument) -> _Floats:

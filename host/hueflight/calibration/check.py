@@ -364,6 +364,11 @@ def _beyond(z: _Floats) -> int:
     return int(np.count_nonzero(np.abs(z) > SIGNIFICANT))
 
 
+def _amount(value: float, digits: str, more: str, less: str) -> str:
+    """A change as an amount and its direction in words."""
+    return f"{abs(value):{digits}}{more if value > 0 else less}"
+
+
 def _with_findings(check: CalibrationCheck) -> CalibrationCheck:
     """The check with what is beyond its limit, in words."""
     found = []
@@ -374,24 +379,30 @@ def _with_findings(check: CalibrationCheck) -> CalibrationCheck:
     if beyond(check.common_delay_ns, check.common_delay_std_ns, DELAY_LIMIT_NS):
         away = check.common_delay_ns * SPEED_OF_LIGHT_M_PER_NS / 2
         found.append(
-            f"all bands arrive {check.common_delay_ns:+.3f} ns later: the target is "
-            f"{100 * away:+.1f} cm farther than stated, or the latency has changed"
+            "all bands arrive "
+            + _amount(check.common_delay_ns, ".3f", " ns later", " ns earlier")
+            + ": the target is "
+            + _amount(100 * away, ".1f", " cm farther", " cm nearer")
+            + " than stated, or the latency has changed"
         )
     for k, name in enumerate(check.bands):
         if beyond(check.delay_ns[k], check.delay_std_ns[k], DELAY_LIMIT_NS):
             found.append(
-                f"band {name!r} arrives {1000 * check.delay_ns[k]:+.0f} ± "
-                f"{1000 * check.delay_std_ns[k]:.0f} ps later than the others"
+                f"band {name!r} arrives "
+                + _amount(1000 * check.delay_ns[k], ".0f", " ps later", " ps earlier")
+                + f" than the others (± {1000 * check.delay_std_ns[k]:.0f} ps)"
             )
         if beyond(check.width[k] - 1, check.width_std[k], WIDTH_LIMIT):
             found.append(
-                f"the pulse of band {name!r} is {100 * (check.width[k] - 1):+.1f} ± "
-                f"{100 * check.width_std[k]:.1f} % wider"
+                f"the pulse of band {name!r} is "
+                + _amount(100 * (check.width[k] - 1), ".1f", " % wider", " % narrower")
+                + f" (± {100 * check.width_std[k]:.1f} %)"
             )
         if beyond(check.brightness[k] - 1, check.brightness_std[k], BRIGHTNESS_LIMIT):
             found.append(
-                f"band {name!r} is {100 * (check.brightness[k] - 1):+.1f} ± "
-                f"{100 * check.brightness_std[k]:.1f} % brighter"
+                f"band {name!r} is "
+                + _amount(100 * (check.brightness[k] - 1), ".1f", " % brighter", " % dimmer")
+                + f" (± {100 * check.brightness_std[k]:.1f} %)"
             )
     seen = np.count_nonzero(np.isfinite(check.pixel_z))
     for z, what in ((check.pixel_z, "delay"), (check.brightness_z, "brightness")):

@@ -86,5 +86,6 @@ def _readable(facts: dict[str, object]) -> dict[str, object]:
     left_out = ("holds", "delay_std_ns", "brightness_std", "width_std", "common_delay_std_ns")
     shown = {name: value for name, value in facts.items() if name not in left_out}
     findings = shown.pop("findings")
-    shown["findings"] = "\n".join(map(str, findings)) if isinstance(findings, list) else findings
+    lines = findings if isinstance(findings, list) else [findings]
+    shown["findings"] = "\n".join(map(str, lines)) or "none"
     return shown

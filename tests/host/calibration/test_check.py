@@ -64,6 +64,9 @@ def test_one_led_is_dimmer_and_its_pulse_wider(calibration, instrument, draw):
     assert check.brightness[5] == pytest.approx(1.0, abs=4 * check.brightness_std[5])
     assert check.width[7] == pytest.approx(1.1, abs=0.015)
     assert check.width[[0, 3, 5]] == pytest.approx(1.0, abs=0.03)
+    names = [band.name for band in instrument.bands]
+    assert any(f"{names[1]!r} is 2" in text and "% dimmer" in text for text in check.findings)
+    assert any(f"{names[7]!r} is" in text and "% wider" in text for text in check.findings)
 
 
 def test_target_has_moved(calibration, instrument, draw):
@@ -71,7 +74,7 @@ def test_target_has_moved(calibration, instrument, draw):
     check = check_calibration(calibration, counts)
     # 6 cm: 0.400 ns, where the calibration is good to 0.006
     assert check.common_delay_ns == pytest.approx(0.4, abs=0.02)
-    assert any("cm farther than stated" in text for text in check.findings)
+    assert any("cm farther than stated" in text and "later" in text for text in check.findings)
     told = check_calibration(calibration, counts, distance=0.56)
     assert told.holds
     assert abs(told.common_delay_ns) < 0.02

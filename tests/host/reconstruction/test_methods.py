@@ -8,6 +8,7 @@ import pytest
 
 import hueflight as hf
 from hueflight.errors import HistogramError, HueflightError
+from hueflight.model.background_shape import BackgroundShape
 from hueflight.reconstruction import methods
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.options import BINDING_OPTIONS, EstimatorOptions
@@ -89,6 +90,22 @@ def test_a_method_of_another_package(setting, monkeypatch):
     assert hf.reconstruct(counts, calibration, method="elsewhere").attrs["method"] == "elsewhere"
     with pytest.raises(HistogramError, match="method = 'nowhere': choose one of joint, paper"):
         hf.reconstruct(counts, calibration, method="nowhere")
+
+
+@pytest.mark.parametrize("method", methods.METHODS)
+def test_the_shape_of_the_background_changes_an_image_or_is_refused(setting, draw, method):
+    calibration, _ = setting
+    counts = draw(calibration.instrument, photons=60, background=60)
+    plain = hf.reconstruct(counts, calibration, method=method, range_correction=False)
+    shape = BackgroundShape(slope=0.9)
+    if method != "joint":
+        with pytest.raises(HueflightError, match=rf"background = .*method {method!r}"):
+            hf.reconstruct(counts, calibration, method=method, background=shape)
+        return
+    shaped = hf.reconstruct(
+        counts, calibration, method=method, range_correction=False, background=shape
+    )
+    assert not np.array_equal(shaped.reflectance, plain.reflectance, equal_nan=True)
 
 
 def test_methods_state_options_that_exist():

@@ -62,7 +62,7 @@ FINE_REACH = 2  #: squares of the pilot no wider than this blur no more than suc
 ENOUGH = 1000.0  #: photons that a pool is closed with
 
 #: options that change the result and that the method takes into account
-honors = joint.honors
+honors = joint.honors - {"background", "mixed"}
 
 
 def estimate(

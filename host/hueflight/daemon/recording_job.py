@@ -178,19 +178,18 @@ class RecordingJob:
 
     def _ended(self, name: str, done: Future[RunResult]) -> None:
         """Called when a recording has ended, for whatever reason."""
+        event = "recording failed"
         error = None if done.cancelled() else done.exception()
         if error is not None or done.cancelled():
             self.last = {"name": name, "failure": str(error or "ended before it began")}
         else:
             try:
                 self.last = write_summary(self._folder.path(name), done.result())
+                event = "recording ended"  # even if early: the summary says why
             except Exception as error:
                 failure = done.result().failure or f"the summary is missing: {error}"
                 self.last = {"name": name, "failure": failure}
         with self._lock:
             self._name = ""
-        if self.last["failure"]:
-            log.error("recording failed", **self.last)
-        else:
-            log.info("recording ended", **self.last)
+        (log.error if self.last["failure"] else log.info)(event, **self.last)
         self._on_ended(name)

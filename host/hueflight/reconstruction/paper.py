@@ -68,6 +68,9 @@ def estimate(
     sums = np.full((len(calibration.instrument.bands), rows, cols), np.nan)
     pixels = np.flatnonzero(known)
     rates = photons_per_period(known, frames, calibration.instrument) if pileup_correction else None
+    if rates is not None:
+        # hot pixels would have the whole picture corrected, which is slow
+        rates = np.where(usable, rates, 0.0)
     light = coates_correction(light, rates)
     measured = _measured(light.reshape(rows * cols, count), pixels, known, calibration)
     kept = chosen.ravel()[pixels]

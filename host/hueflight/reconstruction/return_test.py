@@ -25,6 +25,7 @@ from hueflight.reconstruction.options import EstimatorOptions
 #: background alone exceeds either at one of twenty delays in less than one of 50 000 pixels.
 PLAIN = 28.0
 PLAIN_BANDS = 45.0
+PEAK_MARGIN = 1.1  #: by which a peak may be higher where its delay falls otherwise among the bins
 
 
 def without_return(
@@ -63,6 +64,9 @@ def without_return(
     if not doubtful.any():
         return absent
     search_ns = search_range_ns(calibration, None)
+    least = detection_threshold(search_ns)
+    absent = doubtful & (prepared.photons * _most_per_photon(calibration) < least)
+    doubtful &= ~absent
     shape = prepared.light.shape
     fitted = fit_chosen(
         prepared.light.reshape(-1, shape[-1]),
@@ -74,8 +78,18 @@ def without_return(
         skips=replace(options.skips, assessment=False),
         threads=options.threads,
     )
-    absent[doubtful] = fitted.detection < detection_threshold(search_ns)
+    absent[doubtful] = fitted.detection < least
     return absent
+
+
+def _most_per_photon(calibration: Calibration) -> float:
+    """Most that one photon can add to twice the log-likelihood ratio.
+
+    Nowhere is light more likely than at the peak of the most concentrated band.
+    """
+    bins = calibration.bins
+    density = calibration.templates.shares(bins.edges_ns) / bins.widths_ns * bins.span_ns
+    return 2 * float(np.log(max(PEAK_MARGIN * density.max(), 1.0)))
 
 
 def _plain(

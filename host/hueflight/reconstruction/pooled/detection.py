@@ -103,9 +103,10 @@ def likelihood_ratio(counts: NDArray[np.floating], tables: Tables) -> NDArray[np
         The ratio; bands with less light than background alone would give count as none.
     """
     total = counts.sum(axis=0, dtype=np.float64)
-    amounts = np.maximum(tables.unmixing.astype(np.float64) @ counts, 0)
+    # einsum, because a product of matrices would start threads that nobody asked for
+    amounts = np.maximum(np.einsum("bw,wp->bp", tables.unmixing, counts, dtype=np.float64), 0)
     amounts[-1] = np.maximum(amounts[-1], BACKGROUND_SHARE * total)
-    mean = tables.mixing @ amounts
+    mean = np.einsum("wb,bp->wp", tables.mixing, amounts)
     mean *= total / np.maximum(mean.sum(axis=0), 1e-30)
     ratio = np.maximum(mean, 1e-30) / np.maximum(total * tables.mixing[:, -1:], 1e-30)
     return 2 * (counts * np.log(ratio)).sum(axis=0)

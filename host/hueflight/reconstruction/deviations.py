@@ -217,8 +217,9 @@ def add_pileup_noise(
     for some in (
         np.split(bright, np.flatnonzero(np.diff(phases[bright])) + 1) if bright.size else ()
     ):
-        shares = level.shares[phases[some[0]]].astype(np.float64)
-        slopes = level.slopes[phases[some[0]]].astype(np.float64)
+        phase = int(phases[some[0]])
+        shares = level.shares[phase].astype(np.float64)
+        slopes = level.slopes[phase].astype(np.float64)
         weights = correction_weights(light[some].astype(np.float64), per_period[some])
         weights = np.add.reduceat(weights, level.starts, axis=-1) / groups
         amplitudes = np.maximum(found.amplitudes[some], 0.0)

@@ -19,16 +19,14 @@ from hueflight.calibration import Calibration
 from hueflight.calibration.drift import with_drift
 from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.image_check import (
+from hueflight.reconstruction.image_check import ImageCheck, background_found, check_pixels
+from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
+from hueflight.reconstruction.sampled_pixels import (
     MOST_PIXELS,
-    ImageCheck,
-    background_found,
     background_of,
-    check_pixels,
     sample_pixels,
     trusted_pixels,
 )
-from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
 from hueflight.reconstruction.shared_scores import bias_of
 
 BACKGROUND_PASSES = 4  #: in which the shape of the background is found

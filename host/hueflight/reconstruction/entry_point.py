@@ -22,7 +22,6 @@ from hueflight.model.histograms import as_native
 from hueflight.reconstruction import joint
 from hueflight.reconstruction.departures import find_background
 from hueflight.reconstruction.image import as_image
-from hueflight.reconstruction.image_check import MOST_PIXELS, state_background, trusted
 from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
 from hueflight.reconstruction.methods import METHODS, Estimator, check_options, find_method
 from hueflight.reconstruction.options import (
@@ -36,6 +35,7 @@ from hueflight.reconstruction.options import (
 )
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import resolve
+from hueflight.reconstruction.sampled_pixels import MOST_PIXELS, state_background, trusted
 from hueflight.reconstruction.separation import lens_angle
 from hueflight.reconstruction.stored_counts import (
     BLOCK_BYTES,

@@ -14,7 +14,7 @@ from hueflight import simulator
 from hueflight.cli.app import main
 from hueflight.importers.captures import write_counts
 from hueflight.model import BackgroundShape
-from hueflight.reconstruction.image_check import background_of
+from hueflight.reconstruction.sampled_pixels import background_of
 
 DRIFT_PS = (-600.0, 200.0, 100.0, 0.0, 100.0, 0.0, 100.0, 0.0, 100.0)
 

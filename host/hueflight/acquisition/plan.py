@@ -150,6 +150,10 @@ class RunResult:
         a plan without a precision.
     failure : str
         Why the run ended before its time or the recording broke off; empty if neither.
+    started : str
+        UTC in ISO 8601 when the run began.
+    seconds : float
+        Time from the run's beginning to its result, by a clock that does not jump, in seconds.
     """
 
     plan: RunPlan
@@ -162,3 +166,5 @@ class RunResult:
     gaps: tuple[Gap, ...] = ()
     share_known: float | None = None
     failure: str = ""
+    started: str = ""
+    seconds: float = float("nan")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,8 @@ class Run:
         True if the camera has answered that the run is on, or has said that it is over.
     began_s, last_data_s : float
         Monotonic clock.
+    first_began : str
+        UTC in ISO 8601 when the run began, gaps or not.
     gaps : list of Gap
         Times in which the camera was away.
     precision : PrecisionMonitor or None
@@ -78,6 +81,7 @@ class Run:
         self.started = self.ended = False
         self.exposed_at_end: int | None = None
         self.began_s = self.first_began_s = time.monotonic()
+        self.first_began = datetime.now(UTC).isoformat(timespec="milliseconds")
         self.last_data_s = 0.0
         self.stalled_before_s = 0.0
         self.gaps: list[Gap] = []
@@ -106,7 +110,7 @@ class Run:
         other._kept = self._kept
         other._before = self._before + self.totals
         other._photons_before = self.photons_in_all
-        other.first_began_s = self.first_began_s
+        other.first_began_s, other.first_began = self.first_began_s, self.first_began
         return other
 
     # -- the stream ---------------------------------------------------------------------------
@@ -334,4 +338,6 @@ class Run:
             gaps=tuple(self.gaps),
             share_known=None if self.precision is None else self.precision.share,
             failure=failure,
+            started=self.first_began,
+            seconds=time.monotonic() - self.first_began_s,
         )

@@ -29,6 +29,10 @@ def summarise(result: RunResult, /) -> dict[str, Any]:
     return {
         "kind": result.plan.kind,
         "simulated": result.simulated,
+        "started": result.started,
+        "seconds": round(result.seconds, 3),
+        "note": result.plan.metadata.get("note", ""),
+        "calibration": result.plan.metadata.get("calibration", ""),
         "exposed": result.totals.exposed,
         "delivered": result.totals.delivered,
         "photons": result.photons,

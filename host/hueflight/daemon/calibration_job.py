@@ -117,6 +117,11 @@ class CalibrationJob:
         self._closing = False
         self.state = CalibrationState()
 
+    @property
+    def name(self) -> str:
+        """Name of the calibration in use, which is that of its folder; empty if there is none."""
+        return Path(self.state.path).parent.name if self.state.path else ""
+
     def load_latest(self, instrument: Instrument) -> None:
         """Use the newest calibration of this instrument, if there is any.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import structlog
 
+from hueflight.acquisition.plan import CaptureError
 from hueflight.acquisition.summary import write_summary_file
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
@@ -61,6 +62,22 @@ class Finisher:
         with self._lock:
             self.busy |= {name}
         self._names.put(name)
+
+    def check_idle(self, name: str, /) -> None:
+        """Refuse to disturb a recording that waits or is being finished.
+
+        Parameters
+        ----------
+        name : str
+            Name of the recording.
+
+        Raises
+        ------
+        CaptureError
+            If it does.
+        """
+        if name in self.busy:
+            raise CaptureError(f"recording {name!r} is being finished: try again soon")
 
     def close(self) -> None:
         """End the thread after the recording in hand."""

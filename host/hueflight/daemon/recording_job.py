@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from typing import Any
 
 import structlog
@@ -35,6 +36,9 @@ class RecordingJob:
         Name of the daemon, which is noted in each recording.
     calibration : callable
         Returns the calibration in use, or None.
+    calibration_name : callable
+        Returns the name of the calibration in use, which is noted in each recording; empty if there
+        is none.
     on_ended : callable
         Called with the name of each recording that has ended.
     check_free : callable
@@ -54,13 +58,14 @@ class RecordingJob:
         *,
         daemon_name: str,
         calibration: Callable[[], Calibration | None],
+        calibration_name: Callable[[], str] = lambda: "",
         on_ended: Callable[[str], None] = lambda _: None,
         check_free: Callable[[], None] = lambda: None,
     ) -> None:
         self._acquisition = acquisition
         self._folder = folder
         self._daemon_name = daemon_name
-        self._calibration = calibration
+        self._calibration, self._calibration_name = calibration, calibration_name
         self._on_ended = on_ended
         self._check_free = check_free
         self._lock = threading.Lock()
@@ -125,7 +130,8 @@ class RecordingJob:
                 )
             name = name or timestamp_name()
             path = self._folder.new_path(name)
-            metadata = {"daemon": self._daemon_name} | ({"note": note} if note else {})
+            stated = {"note": note, "calibration": self._calibration_name()}
+            metadata = {"daemon": self._daemon_name} | {k: v for k, v in stated.items() if v}
             stop = (
                 None if until is None or calibration is None else PrecisionStop(until, calibration)
             )
@@ -153,6 +159,25 @@ class RecordingJob:
         """
         if self._name:
             raise CaptureError(f"recording {self._name!r} is in progress: end it first")
+
+    @contextmanager
+    def keep_off(self, *names: str) -> Iterator[None]:
+        """Let no recording begin while files of recordings are changed.
+
+        Parameters
+        ----------
+        *names : str
+            Names of the recordings whose files are changed.
+
+        Raises
+        ------
+        CaptureError
+            If one of them is in progress.
+        """
+        with self._lock:
+            if self._name in names:
+                raise CaptureError(f"recording {self._name!r} is in progress: end it first")
+            yield
 
     def end(self) -> str:
         """End the recording in progress.
@@ -189,7 +214,7 @@ class RecordingJob:
             except Exception as error:
                 failure = done.result().failure or f"the summary is missing: {error}"
                 self.last = {"name": name, "failure": failure}
+        self._on_ended(name)  # before the name is free, so that nobody renames what is finished
         with self._lock:
             self._name = ""
         (log.error if self.last["failure"] else log.info)(event, **self.last)
-        self._on_ended(name)

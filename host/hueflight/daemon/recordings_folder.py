@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import threading
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-from hueflight.errors import HueflightError
+from hueflight.acquisition.summary import write_summary_file
+from hueflight.daemon.recording_facts import RecordingFacts
+from hueflight.errors import HueflightError, OutputError
 from hueflight.recording.layout import (
     PART,
     SUFFIX,
@@ -46,6 +51,8 @@ class RecordingsFolder:
     def __init__(self, root: Path, /) -> None:
         root.mkdir(parents=True, exist_ok=True)
         self.root = root.resolve()
+        self._facts = RecordingFacts(self.root)
+        self._lock = threading.Lock()  # of the facts, which several requests may ask for
 
     def path(self, name: str, /) -> Path:
         """Return the path of the first file of the recording called `name`.
@@ -136,18 +143,90 @@ class RecordingsFolder:
         """Return the names of recordings with unfinished files, in alphabetical order."""
         return sorted(name for name, files in self._files().items() if files.unfinished)
 
-    def listing(self) -> list[dict[str, str | int | bool]]:
+    def rename(self, name: str, new_name: str, /) -> None:
+        """Give all files of a recording another name.
+
+        Parameters
+        ----------
+        name, new_name : str
+            Name of the recording, and the name that it is given.
+
+        Raises
+        ------
+        RecordingNameError
+            If a name is not allowed, or the new one is taken.
+        RecordingMissingError
+            If there is no such recording.
+        OutputError
+            If the disk refuses; the files then have their former names.
+        """
+        first, target = self._existing(name), self.new_path(new_name)
+        done: list[tuple[Path, Path]] = []
+        try:
+            for file in self._files_of(first):
+                renamed = target.with_name(target.stem + file.name.removeprefix(first.stem))
+                file.rename(renamed)
+                done.append((file, renamed))
+        except OSError as error:
+            for file, renamed in reversed(done):
+                renamed.rename(file)
+            raise OutputError(f"can't rename {name!r}: {error.strerror or error}") from error
+        _restate_name(target)
+
+    def delete(self, name: str, /) -> None:
+        """Delete all files of a recording.
+
+        Parameters
+        ----------
+        name : str
+            Name of the recording.
+
+        Raises
+        ------
+        RecordingNameError
+            If the name is not allowed.
+        RecordingMissingError
+            If there is no such recording.
+        OutputError
+            If the disk refuses; files that are left are still listed.
+        """
+        try:
+            # the first file last: what an error leaves is still found under the name
+            for file in reversed(self._files_of(self._existing(name))):
+                file.unlink(missing_ok=True)
+        except OSError as error:
+            raise OutputError(f"can't delete {name!r}: {error.strerror or error}") from error
+
+    def _existing(self, name: str) -> Path:
+        path = self.path(name)
+        if not any(segment_files(path)):
+            raise RecordingMissingError(
+                f"there is no recording called {name!r}: GET /api/recordings lists what there is"
+            )
+        return path
+
+    @staticmethod
+    def _files_of(first: Path) -> list[Path]:
+        """Files of a recording, the summary beside it included."""
+        finished, unfinished = segment_files(first)
+        summary = first.with_suffix(".json")
+        return [*finished, *unfinished, *([summary] if summary.exists() else [])]
+
+    def listing(self) -> list[dict[str, Any]]:
         """Return the recordings, newest first, each with the size of all its files.
 
-        The folder is read once, however many recordings it holds.
+        The folder is read once, however many recordings it holds, and each summary only once until
+        it changes.
 
         Returns
         -------
         list of dict
-            Name, bytes, number of segments, time of the latest change, and whether all files are
-            finished.
+            Name, bytes, number of segments, time of the latest change, whether all files are
+            finished, and the facts of the summary (`recording_facts.UNKNOWN`).
         """
         found = sorted(self._files().items(), key=lambda item: item[1].modified_s, reverse=True)
+        with self._lock:
+            facts = self._facts.of([name for name, _ in found])
         return [
             {
                 "name": name,
@@ -157,6 +236,7 @@ class RecordingsFolder:
                     timespec="seconds"
                 ),
                 "finished": not files.unfinished,
+                **facts[name],
             }
             for name, files in found
         ]
@@ -184,6 +264,15 @@ class RecordingsFolder:
                 else:
                     files.finished += 1
         return found
+
+
+def _restate_name(first: Path) -> None:
+    """Have the summary of a recording that was renamed state its new name."""
+    try:
+        summary = json.loads(first.with_suffix(".json").read_text("utf-8"))
+    except (OSError, ValueError):
+        return  # there is none, or it was not written by a daemon
+    write_summary_file(first, summary | {"name": first.stem})
 
 
 @dataclass(slots=True)

@@ -136,6 +136,7 @@ class Service:
             self.folder,
             daemon_name=config.name,
             calibration=lambda: self.pictures.calibration,
+            calibration_name=lambda: self.calibration_job.name,
             on_ended=self.finisher.finish,
             check_free=lambda: self.calibration_job.check_idle(),
         )
@@ -180,6 +181,42 @@ class Service:
         self.calibration_job.check_idle()
         self.acquisition.set_live(None)
         self.acquisition.stop()
+
+    def rename_recording(self, name: str, new_name: str, /) -> None:
+        """Give a recording another name.
+
+        Parameters
+        ----------
+        name, new_name : str
+            Name of the recording, and the name that it is given.
+
+        Raises
+        ------
+        HueflightError
+            If the recording is in progress, being finished or not there, or the new name is taken.
+        """
+        with self.recording_job.keep_off(name, new_name):
+            self.finisher.check_idle(name)
+            self.folder.rename(name, new_name)
+        log.info("recording renamed", name=name, new_name=new_name)
+
+    def delete_recording(self, name: str, /) -> None:
+        """Delete a recording.
+
+        Parameters
+        ----------
+        name : str
+            Name of the recording.
+
+        Raises
+        ------
+        HueflightError
+            If the recording is in progress, being finished or not there.
+        """
+        with self.recording_job.keep_off(name):
+            self.finisher.check_idle(name)
+            self.folder.delete(name)
+        log.info("recording deleted", name=name)
 
     def status(self) -> dict[str, Any]:
         """Return the current status, for the live page, scripts and metrics."""

@@ -24,7 +24,7 @@ from hueflight.daemon.http.access import AccessControl
 from hueflight.daemon.http.live_socket import Hub
 from hueflight.daemon.http.metrics import make_registry, render
 from hueflight.daemon.http.openapi import describe
-from hueflight.daemon.http.operations import OPERATIONS, Operation
+from hueflight.daemon.http.operations import OPERATIONS, Named, Operation
 from hueflight.daemon.http.page_files import page_routes
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.picture import Picture
@@ -167,6 +167,8 @@ def _route(operation: Operation, state: dict[str, Any]) -> Route:
                 argument = await _read_body(request, operation.body)
             elif operation.query is not None:
                 argument = _read_query(request, operation.query)
+            if operation.named:
+                argument = Named(request.path_params["name"], argument)
             result = await run_in_threadpool(operation.action, state["service"], argument)
         except HueflightError as error:
             return _json({"error": str(error)}, _status_of(error))

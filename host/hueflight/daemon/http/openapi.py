@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from hueflight.daemon.http.operations import OPERATIONS, Operation
+from hueflight.daemon.http.operations import NAME_PATTERN, OPERATIONS, Operation
 
 _ERROR = {
     "type": "object",
@@ -98,6 +98,8 @@ def _operation(operation: Operation) -> dict[str, Any]:
             }
             for name, field in schema["properties"].items()
         ]
+    if operation.named:
+        described["parameters"] = [_name_parameter()]
     if operation.body is not None:
         reference = {"$ref": f"#/components/schemas/{operation.body.__name__}"}
         described["requestBody"] = {
@@ -113,20 +115,19 @@ def _operation(operation: Operation) -> dict[str, Any]:
             "recording of the same name, or a missing calibration."
         )
     if operation.missing:
-        described["responses"]["404"] = _error("There is no such pixel, or no picture yet.")
+        described["responses"]["404"] = _error("There is no such recording, or no such pixel.")
     return described
 
 
 def _download() -> dict[str, Any]:
     """Description of the download, the only answer that is no JSON."""
-    name = {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"}
     number = {"type": "integer", "minimum": 0, "maximum": 999_999}
     content = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
     return {
         "operationId": "download",
         "summary": "Download a segment of a finished recording",
         "parameters": [
-            _path_parameter("name", "Name of the recording.", name),
+            _name_parameter(),
             _path_parameter("segment", "Number of the segment, from 0.", number),
         ],
         "responses": {
@@ -138,6 +139,11 @@ def _download() -> dict[str, Any]:
         }
         | _refusals(),
     }
+
+
+def _name_parameter() -> dict[str, Any]:
+    schema = {"type": "string", "pattern": NAME_PATTERN}
+    return _path_parameter("name", "Name of the recording.", schema)
 
 
 def _path_parameter(name: str, text: str, schema: dict[str, Any]) -> dict[str, Any]:

@@ -13,10 +13,11 @@ from hueflight.daemon.pixel import inspect
 from hueflight.daemon.service import Service
 from hueflight.reconstruction.stopping import StopRule
 
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 Name = Annotated[
     str,
     msgspec.Meta(
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$",
+        pattern=NAME_PATTERN,
         description="Name of the recording. By default it is the present time.",
     ),
 ]
@@ -91,6 +92,15 @@ class RecordBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     ] = 0.9
 
 
+class RenameBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is changed of a recording."""
+
+    name: Annotated[
+        str,
+        msgspec.Meta(pattern=NAME_PATTERN, description="Name that the recording is given."),
+    ]
+
+
 class CalibrateBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of the captures of a calibration."""
 
@@ -118,6 +128,22 @@ class PixelQuery(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 @dataclass(frozen=True)
+class Named:
+    """Argument of an operation on a recording.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recording, from the path.
+    body : Body or None
+        Decoded body.
+    """
+
+    name: str
+    body: Any
+
+
+@dataclass(frozen=True)
 class Operation:
     """One operation of the API.
 
@@ -134,7 +160,8 @@ class Operation:
     result : str
         What a successful answer holds, for the OpenAPI description.
     action : callable
-        Carries the operation out, given the service and the decoded body or query.
+        Carries the operation out, given the service and the decoded body or query, or a `Named` if
+        the path holds the name of a recording.
     body : type or None
         Type of the body; None for no body.
     query : type or None
@@ -145,7 +172,7 @@ class Operation:
         True if the object of the operation may not exist (status 404).
     """
 
-    method: Literal["GET", "POST"]
+    method: Literal["GET", "POST", "PATCH", "DELETE"]
     path: str
     name: str
     summary: str
@@ -155,6 +182,11 @@ class Operation:
     query: type[Body] | None = None
     conflicts: bool = False
     missing: bool = False
+
+    @property
+    def named(self) -> bool:
+        """True if the path holds the name of a recording."""
+        return "{name}" in self.path
 
 
 def _status(service: Service, _: None) -> dict[str, Any]:
@@ -204,6 +236,16 @@ def _recordings(service: Service, _: None) -> dict[str, Any]:
             for entry in service.folder.listing()
         ]
     }
+
+
+def _rename_recording(service: Service, named: Named) -> dict[str, Any]:
+    service.rename_recording(named.name, named.body.name)
+    return {"name": named.body.name}
+
+
+def _delete_recording(service: Service, named: Named) -> dict[str, Any]:
+    service.delete_recording(named.name)
+    return {"name": named.name}
 
 
 def _calibrate(service: Service, body: CalibrateBody) -> dict[str, Any]:
@@ -274,8 +316,30 @@ OPERATIONS: tuple[Operation, ...] = (
         "/api/recordings",
         "recordings",
         "List the finished recordings",
-        "Name, size, number of segments and time of each recording, newest first.",
+        "Name, size, duration, frames, losses, note, calibration and failure of each recording, "
+        "newest first.",
         _recordings,
+    ),
+    Operation(
+        "PATCH",
+        "/api/recordings/{name}",
+        "rename_recording",
+        "Rename a recording",
+        "New name of the recording.",
+        _rename_recording,
+        body=RenameBody,
+        conflicts=True,
+        missing=True,
+    ),
+    Operation(
+        "DELETE",
+        "/api/recordings/{name}",
+        "delete_recording",
+        "Delete a recording with all its files",
+        "Name of the recording that was deleted.",
+        _delete_recording,
+        conflicts=True,
+        missing=True,
     ),
     Operation(
         "POST",

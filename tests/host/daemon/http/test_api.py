@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ import hueflight as hf
 from hueflight.daemon.http.operations import OPERATIONS
 from hueflight.emulation.frame_bank import FrameBank
 from hueflight.recording import open_recording
+from hueflight.recording.layout import segment_path
 from hueflight.simulator import simulate_capture, simulate_packets
 
 OpenDaemon = Callable[..., Any]
@@ -64,6 +67,69 @@ def test_live_recording_and_the_end(client: TestClient, tmp_path: Path) -> None:
     assert found["totals"]["exposed"] == found["totals"]["delivered"]
     assert client.post("/api/start").status_code == 200
     until(lambda: status(client)["state"] == "running", "it runs again")
+
+
+def recorded(client: TestClient, name: str, **body: Any) -> dict[str, Any]:
+    """A finished recording as it is listed."""
+    assert client.post("/api/recordings", json={"name": name, **body}).status_code == 200
+    until(lambda: status(client)["recording"]["last"].get("name") == name, "it has ended")
+    until(lambda: listed(client)[name]["finished"], "it is finished")
+    return listed(client)[name]
+
+
+def listed(client: TestClient) -> dict[str, dict[str, Any]]:
+    return {entry["name"]: entry for entry in client.get("/api/recordings").json()["recordings"]}
+
+
+def test_the_list_says_what_is_in_each_recording(client: TestClient, tmp_path: Path) -> None:
+    found = recorded(client, "one", frames=400, note="a vase")
+    assert (found["frames"], found["kind"], found["note"]) == (400, "scene", "a vase")
+    assert found["lost"] == {"sensor": 0, "fpga": 0, "usb": 0, "host": 0, "disk": 0}
+    assert 0.2 <= found["seconds"] < WAIT_S  # 400 frames at 2000 a second
+    assert (found["gaps"], found["failure"], found["calibration"]) == (0, "", "")
+    with open_recording(tmp_path / "data/recordings/one.mcap") as recording:
+        assert found["frames"] == recording.frames
+        began = datetime.fromisoformat(recording.info().started)
+    # the run begins with the file; the clock of the machine may be adjusted meanwhile
+    assert abs((datetime.fromisoformat(found["started"]) - began).total_seconds()) < WAIT_S
+    (tmp_path / "data/recordings/foreign.mcap").write_bytes(b"")
+    (tmp_path / "data/recordings/foreign.json").write_text("[1]")
+    unknown = listed(client)["foreign"]
+    assert (unknown["frames"], unknown["seconds"], unknown["lost"]) == (None, None, None)
+
+
+def test_recordings_are_renamed_and_deleted(client: TestClient, tmp_path: Path) -> None:
+    folder = tmp_path / "data/recordings"
+    before = recorded(client, "one", frames=100)
+    segment_path(folder / "one.mcap", 1).write_bytes(b"later")
+    recorded(client, "two", frames=100)
+    here = "/api/recordings/one"
+    assert client.patch(here, json={"name": "two"}).status_code == 409
+    assert client.patch(here, json={"name": "../x"}).status_code == 422
+    assert client.patch("/api/recordings/none", json={"name": "x"}).status_code == 404
+    assert client.delete("/api/recordings/none").status_code == 404
+    assert client.delete("/api/recordings/..%2ftwo").status_code in (404, 405, 409)
+    assert client.patch(here, json={"name": "other"}).json() == {"name": "other"}
+    found = listed(client)
+    assert set(found) == {"other", "two"}
+    assert (found["other"]["frames"], found["other"]["segments"]) == (before["frames"], 2)
+    assert segment_path(folder / "other.mcap", 1).read_bytes() == b"later"
+    assert json.loads((folder / "other.json").read_text())["name"] == "other"
+    assert client.delete("/api/recordings/other").json() == {"name": "other"}
+    assert {path.name for path in folder.iterdir()} == {"two.mcap", "two.json"}
+
+
+def test_a_recording_in_progress_is_neither_renamed_nor_deleted(client: TestClient) -> None:
+    recorded(client, "done", frames=10)
+    client.post("/api/recordings", json={"name": "busy"})
+    for answer in (
+        client.delete("/api/recordings/busy"),
+        client.patch("/api/recordings/busy", json={"name": "x"}),
+        client.patch("/api/recordings/done", json={"name": "busy"}),
+    ):
+        assert answer.status_code == 409
+        assert "'busy' is in progress" in answer.json()["error"]
+    client.post("/api/recordings/stop")
 
 
 def test_an_open_recording_is_stopped_by_hand(client: TestClient) -> None:

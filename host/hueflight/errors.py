@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Expected failures of the host software, each a kind of `HueflightError`.
+"""Expected failures of the host software, each a kind of `HueflightError`, and its warnings.
 
 Where Python has a class of its own for a failure, ours derives from that as well, so that
 `except FileNotFoundError` or `except ValueError` works as usual.
@@ -29,6 +29,7 @@ __all__ = [
     "RecordingError",
     "RecordingNotFoundError",
     "SceneError",
+    "SlowKernelsWarning",
 ]
 
 
@@ -46,6 +47,10 @@ class HistogramError(HueflightError, ValueError):
 
 class KernelError(HueflightError):
     """Compiled kernels that were asked for and are missing, or that do not fit the Python code."""
+
+
+class SlowKernelsWarning(UserWarning):
+    """Work is done by NumPy because nothing was compiled when the package was installed."""
 
 
 class MemoryLimitError(HueflightError, MemoryError):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +13,7 @@ from types import MappingProxyType, ModuleType
 
 from hueflight.backend import fit, ingest, pooled
 from hueflight.backend.interface import Interface
-from hueflight.errors import KernelError
+from hueflight.errors import KernelError, SlowKernelsWarning
 
 VARIABLE = "HUEFLIGHT_KERNELS"
 
@@ -117,24 +118,49 @@ def compiled(name: str, /, implementation: str | None = None) -> ModuleType | No
     -------
     module or None
         None where the NumPy definition is to be used: because it was asked for, or because there
-        is nothing compiled and nobody insists on it.
+        is nothing compiled and nobody insists on it. In that last case a process is warned once.
 
     Raises
     ------
     KernelError
         If ``HUEFLIGHT_KERNELS`` is invalid or asks for what is not there, or if the compiled
         module does not match the installed Python code.
+
+    Warns
+    -----
+    SlowKernelsWarning
+        If nothing is compiled and nobody said that this is meant.
     """
+    module, wish = _chosen(name, implementation)
+    if module is None and not wish:
+        _warn_of_slowness()
+    return module
+
+
+@cache
+def _warn_of_slowness() -> None:
+    """Warn once that all will be slow; `hueflight --version` says more."""
+    warnings.warn(
+        "Hueflight was installed without its compiled kernels; their NumPy definitions give the "
+        "same results many times slower. `hueflight --version` says why. Install the package "
+        f"again where there is a C compiler, or set {VARIABLE}=numpy if this is meant",
+        SlowKernelsWarning,
+        stacklevel=3,
+    )
+
+
+def _chosen(name: str, implementation: str | None = None) -> tuple[ModuleType | None, str]:
+    """Return the module to use, if any, and what was asked for."""
     where = VARIABLE if implementation is None else "implementation"
     wish = requested() if implementation is None else _checked(implementation, where)
     if wish == "numpy":
-        return None
+        return None, wish
     loaded = _load(name)
     if loaded.broken:
         raise KernelError(loaded.reason)
     if loaded.module is None and wish == "c":
         raise KernelError(f"{where} = 'c', but {loaded.reason}")
-    return loaded.module
+    return loaded.module, wish
 
 
 def available(name: str, /) -> bool:
@@ -183,7 +209,7 @@ def describe() -> dict[str, str]:
 
 def _described(name: str) -> str:
     try:
-        module = compiled(name)
+        module, _ = _chosen(name)
     except KernelError as error:
         return f"unusable: {error}"
     if module is not None:

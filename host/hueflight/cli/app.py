@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 
 from cyclopts import App
@@ -58,7 +59,9 @@ def main(words: Sequence[str] | None = None) -> None:
     """
     typed = sys.argv[1:] if words is None else list(words)
     try:
-        application(typed)(typed)
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            application(typed)(typed)
     except HueflightError as error:
         _fail(str(error))
     except KeyboardInterrupt:
@@ -122,3 +125,7 @@ def _say(message: str) -> None:
     from hueflight.cli.output import print_notice
 
     print_notice(message)
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    _say(f"warning: {message}")

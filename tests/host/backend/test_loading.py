@@ -9,8 +9,9 @@ import pytest
 
 from hueflight import backend
 from hueflight.backend import loading
+from hueflight.cli import main
 from hueflight.daemon.pictures import live_method
-from hueflight.errors import KernelError
+from hueflight.errors import KernelError, SlowKernelsWarning
 from hueflight.ingest import numpy_kernels
 from hueflight.ingest.kernels import choose
 
@@ -29,9 +30,11 @@ def missing(monkeypatch):
             raise ImportError(f"No module named {name!r}")
 
     monkeypatch.setattr(loading, "import_module", fail)
-    loading._load.cache_clear()
+    for cached in (loading._load, loading._warn_of_slowness):
+        cached.cache_clear()
     yield
-    loading._load.cache_clear()
+    for cached in (loading._load, loading._warn_of_slowness):
+        cached.cache_clear()
 
 
 def test_the_environment_is_read_in_one_place():
@@ -73,6 +76,38 @@ def test_compiled_kernels_run_where_they_are(monkeypatch, wish):
 
 
 @pytest.mark.usefixtures("missing")
+def test_a_process_without_compiled_kernels_is_warned_once(monkeypatch):
+    monkeypatch.delenv("HUEFLIGHT_KERNELS", raising=False)
+    with pytest.warns(SlowKernelsWarning, match="many times slower") as caught:
+        found = [backend.compiled(name) for name in [*backend.KERNELS, *backend.KERNELS]]
+    assert not any(found)
+    assert len(caught) == 1
+
+
+@pytest.mark.usefixtures("missing")
+def test_who_asks_for_numpy_is_not_warned(monkeypatch):
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "numpy")
+    assert backend.compiled("fit") is None  # warnings are errors here
+    assert backend.compiled("fit", "numpy") is None
+
+
+@pytest.mark.usefixtures("missing")
+@pytest.mark.filterwarnings("default::hueflight.errors.SlowKernelsWarning")
+def test_the_command_line_shows_the_warning_as_a_sentence(monkeypatch, tmp_path, capsys):
+    monkeypatch.delenv("HUEFLIGHT_KERNELS", raising=False)
+    path = tmp_path / "one.mcap"
+    with pytest.raises(SystemExit):
+        main(["simulate", "fig1", "--frames", "1", "-o", str(path)])
+    with pytest.raises(SystemExit):
+        main(["info", str(path), "--check"])
+    said = capsys.readouterr().err
+    assert said.count("warning: Hueflight was installed without its compiled kernels") == 1
+    assert "UserWarning" not in said
+    assert "loading.py" not in said
+
+
+@pytest.mark.usefixtures("missing")
+@pytest.mark.filterwarnings("ignore::hueflight.errors.SlowKernelsWarning")
 def test_numpy_where_nothing_was_compiled(monkeypatch):
     monkeypatch.delenv("HUEFLIGHT_KERNELS", raising=False)
     for name, kernel in backend.KERNELS.items():

@@ -18,6 +18,7 @@ from starlette.testclient import TestClient
 import hueflight as hf
 from hueflight.daemon.config import DaemonConfig, ServerConfig
 from hueflight.daemon.http.app import make_app
+from hueflight.daemon.server_config import Tokens
 from hueflight.devices import Camera, Rig
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
@@ -51,7 +52,11 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
 
     @contextmanager
     def opened(
-        *, token: str | None = None, bank: FrameBank | None = None, **server: Any
+        *,
+        token: str | None = None,
+        viewer_token: str | None = None,
+        bank: FrameBank | None = None,
+        **server: Any,
     ) -> Iterator[TestClient]:
         bank = bank or FrameBank.random(instrument.sensor, occupancy=0.3, frames=16)
         model = CameraModel(instrument.sensor, bank)
@@ -65,7 +70,7 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
             return Rig(camera, FakeIllumination())
 
         config = DaemonConfig(data=str(tmp_path / "data"), server=ServerConfig(**server))
-        app = make_app(config, connect, instrument, port=PORT, token=token)
+        app = make_app(config, connect, instrument, port=PORT, tokens=Tokens(token, viewer_token))
         with TestClient(app, base_url=BASE, raise_server_exceptions=False) as client:
             yield client
 

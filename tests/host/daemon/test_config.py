@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
+from hueflight.daemon.server_config import Tokens
 
 
 def test_defaults_and_files(tmp_path: Path) -> None:
@@ -16,7 +17,7 @@ def test_defaults_and_files(tmp_path: Path) -> None:
     config = DaemonConfig.load(path)
     assert (config.name, config.server.port, config.recording.queue_mb) == ("bench-1", 9000, 64)
     assert config.server.host == "127.0.0.1"
-    assert config.server.token() is None
+    assert config.server.tokens() == Tokens()
 
 
 @pytest.mark.parametrize(
@@ -66,14 +67,33 @@ def test_every_number_has_a_range(tmp_path: Path) -> None:
 
 def test_beyond_loopback_a_token_is_needed(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="lets other machines in"):
-        ServerConfig(host="0.0.0.0").token()
+        ServerConfig(host="0.0.0.0").tokens()
     path = tmp_path / "token"
     path.write_text("short\n")
     path.chmod(0o600)
     with pytest.raises(ConfigError, match="at least 16"):
-        ServerConfig(host="0.0.0.0", token_file=str(path)).token()
+        ServerConfig(host="0.0.0.0", token_file=str(path)).tokens()
     path.write_text("0123456789abcdef\n")
-    assert ServerConfig(host="0.0.0.0", token_file=str(path)).token() == "0123456789abcdef"
+    assert ServerConfig(host="0.0.0.0", token_file=str(path)).tokens() == Tokens("0123456789abcdef")
     path.chmod(0o644)
     with pytest.raises(ConfigError, match="can be read by others"):
-        ServerConfig(host="0.0.0.0", token_file=str(path)).token()
+        ServerConfig(host="0.0.0.0", token_file=str(path)).tokens()
+
+
+def test_viewers_have_a_token_of_their_own(tmp_path: Path) -> None:
+    for name, token in (("operator", "0123456789abcdef"), ("viewer", "fedcba9876543210")):
+        (tmp_path / name).write_text(token)
+        (tmp_path / name).chmod(0o600)
+    both = {
+        "token_file": str(tmp_path / "operator"), "viewer_token_file": str(tmp_path / "viewer")
+    }  # fmt: skip
+    assert ServerConfig(**both).tokens() == Tokens("0123456789abcdef", "fedcba9876543210")
+    with pytest.raises(ConfigError, match="hold the same token"):
+        ServerConfig(**both | {"viewer_token_file": both["token_file"]}).tokens()
+    with pytest.raises(ConfigError, match="everybody would be an operator"):
+        ServerConfig(viewer_token_file=both["viewer_token_file"]).tokens()
+
+
+def test_certificate_and_key_belong_together() -> None:
+    with pytest.raises(ConfigError, match="give both or none"):
+        ServerConfig(certificate_file="lab.pem")

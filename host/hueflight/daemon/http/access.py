@@ -3,27 +3,32 @@
 
 Every page in the user's browser can reach a daemon on loopback. Therefore a request must name a
 host that this daemon serves (against DNS rebinding), and if a page sent it, that page must be the
-daemon's own.
+daemon's own. Who sends a request, and what its token is good for, is decided in `sender` and
+`roles`.
 """
 
 from __future__ import annotations
 
-import hmac
-import json
 import time
 from collections import OrderedDict
 from collections.abc import MutableMapping
-from typing import Any
 from urllib.parse import urlsplit
 
 import structlog
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from hueflight.daemon.config import LOOPBACK, ServerConfig
-from hueflight.live.protocol import TOKEN_PROTOCOL
+from hueflight.daemon.http.refusal import RequestRefused, refuse
+from hueflight.daemon.http.roles import (
+    GUARDED,
+    SESSION_PATH,
+    Permission,
+    check_permission,
+    permission,
+)
+from hueflight.daemon.http.sender import Sender, Senders, ServedHosts, split_host
+from hueflight.daemon.server_config import ServerConfig, Tokens
 
-#: paths that need the token; the page, which holds no secret, and /health need none
-GUARDED = ("/api/", "/metrics", "/openapi.json")
+PERMISSION = "hueflight.permission"  #: key of the scope that holds the `Permission` of a request
 _CLIENTS_KEPT = 1024
 LOG_S = 1.0  #: from one log entry about refused requests to the next
 log = structlog.get_logger("hueflight.daemon")
@@ -41,22 +46,6 @@ _HEADERS = [
 ]
 
 
-class RequestRefused(Exception):  # noqa: N818 - a decision, not an error
-    """A request that is refused.
-
-    Parameters
-    ----------
-    status : int
-        HTTP status.
-    reason : str
-        Reason for the client.
-    """
-
-    def __init__(self, status: int, reason: str) -> None:
-        super().__init__(reason)
-        self.status = status
-
-
 class AccessControl:
     """Middleware that refuses requests which are not allowed.
 
@@ -68,17 +57,18 @@ class AccessControl:
         Hosts and limits.
     port : int
         Port on which the daemon listens.
-    token : str or None
-        Token that clients must send; None if none is required.
+    tokens : Tokens
+        Tokens that clients must send.
+
+    Attributes
+    ----------
+    refused : int
+        Requests that were refused.
     """
 
-    def __init__(
-        self, app: ASGIApp, config: ServerConfig, /, *, port: int, token: str | None
-    ) -> None:
-        self._app, self._config, self._token = app, config, token
-        names = {*LOOPBACK, config.host, *config.allowed_hosts} - {"0.0.0.0", "::", ""}
-        self._hosts = {name.lower() for name in names}
-        self._port = port
+    def __init__(self, app: ASGIApp, config: ServerConfig, /, *, port: int, tokens: Tokens) -> None:
+        self._app, self._config, self._tokens = app, config, tokens
+        self._senders, self._hosts = Senders(config), ServedHosts(config, port)
         self._buckets: OrderedDict[str, tuple[float, float]] = OrderedDict()
         self.refused = 0
         self._logged_s = float("-inf")
@@ -88,64 +78,50 @@ class AccessControl:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        client = (scope.get("client") or ("unknown", 0))[0]
+        send = _with_security_headers(send)
         try:
             headers = _headers(scope)
-            self._check(scope, headers)
+            try:
+                sender = self._senders.of(scope, headers)
+                client = sender.client
+                found = self._check_sender(scope, headers, sender)
+            except RequestRefused:
+                # a page of another site in the user's own browser must not use up the user's
+                # requests, nor may one who guesses tokens
+                self._check_rate(f"{client} refused")
+                raise
+            guessing = scope["path"] == SESSION_PATH and found.token == "wrong"
+            self._check_rate(f"{client} refused" if guessing else client)
             limited = _Body(receive, self._config.max_body_bytes, headers)
         except RequestRefused as refused:
-            self._log(scope, refused)
-            await _refuse(scope, receive, send, refused)
+            self._log(scope, client, refused)
+            await refuse(scope, receive, send, refused)
             return
-        await self._app(
-            scope, limited if scope["type"] == "http" else receive, _with_security_headers(send)
-        )
+        scope[PERMISSION] = found
+        await self._app(scope, limited if scope["type"] == "http" else receive, send)
 
-    def _check(self, scope: Scope, headers: MutableMapping[str, str]) -> None:
-        client = (scope.get("client") or ("unknown", 0))[0]
-        try:
-            self._check_sender(scope, headers)
-        except RequestRefused:
-            # a page of another site in the user's own browser must not use up the user's requests
-            self._check_rate(f"{client} refused")
-            raise
-        self._check_rate(client)
-
-    def _check_sender(self, scope: Scope, headers: MutableMapping[str, str]) -> None:
-        host = headers.get("host", "")
-        if not self._is_served(host):
+    def _check_sender(
+        self, scope: Scope, headers: MutableMapping[str, str], sender: Sender
+    ) -> Permission:
+        host = sender.host
+        if not self._hosts.serves(sender):
             raise RequestRefused(
                 421,
                 f"host {host[:80]!r} is not served by this daemon: add it to server.allowed_hosts",
+                "host",
             )
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
-            raise RequestRefused(403, "the request comes from a page of another origin")
+        if origin is not None and not _is_same(origin, sender):
+            raise RequestRefused(403, "the request comes from a page of another origin", "origin")
         site = headers.get("sec-fetch-site", "none")
         if site not in ("same-origin", "none") and scope["path"].startswith(GUARDED):
-            raise RequestRefused(403, "the request comes from a page of another site")
-        if self._token is not None and scope["path"].startswith(GUARDED):
-            self._check_token(headers)
+            raise RequestRefused(403, "the request comes from a page of another site", "origin")
+        found = permission(self._tokens, headers)
+        check_permission(scope, found)
+        return found
 
-    def _is_served(self, host: str) -> bool:
-        try:
-            parts = urlsplit(f"//{host}")
-            name, port = parts.hostname or "", parts.port
-        except ValueError:
-            return False
-        return name.lower() in self._hosts and (port or 80) == self._port
-
-    def _check_token(self, headers: MutableMapping[str, str]) -> None:
-        assert self._token is not None
-        shown = headers.get("authorization", "").removeprefix("Bearer ")
-        for offered in headers.get("sec-websocket-protocol", "").split(","):
-            if offered.strip().startswith(TOKEN_PROTOCOL):
-                shown = offered.strip().removeprefix(TOKEN_PROTOCOL)
-        if not hmac.compare_digest(shown.encode(), self._token.encode()):
-            raise RequestRefused(
-                401, "a token is required: send the header 'Authorization: Bearer TOKEN'"
-            )
-
-    def _log(self, scope: Scope, refused: RequestRefused) -> None:
+    def _log(self, scope: Scope, client: str, refused: RequestRefused) -> None:
         """Log a refused request; at most one each second, with the number of those before it."""
         self.refused += 1
         now = time.monotonic()
@@ -153,7 +129,7 @@ class AccessControl:
             return
         log.warning(
             "request refused",
-            client=(scope.get("client") or ("unknown", 0))[0],
+            client=client,
             path=scope["path"][:200],
             status=refused.status,
             reason=str(refused),
@@ -171,7 +147,9 @@ class AccessControl:
         while len(self._buckets) > _CLIENTS_KEPT:
             self._buckets.popitem(last=False)
         if not allowed:
-            raise RequestRefused(429, f"more than {config.requests_per_s:g} requests per second")
+            raise RequestRefused(
+                429, f"more than {config.requests_per_s:g} requests per second", "rate"
+            )
 
 
 class _Body:
@@ -181,7 +159,9 @@ class _Body:
         self._receive, self._left, self._limit = receive, limit, limit
         length = headers.get("content-length", "0")
         if not length.isdigit() or int(length) > limit:
-            raise RequestRefused(413, f"the body of a request may have at most {limit} bytes")
+            raise RequestRefused(
+                413, f"the body of a request may have at most {limit} bytes", "size"
+            )
 
     async def __call__(self) -> Message:
         message = await self._receive()
@@ -193,14 +173,34 @@ class _Body:
         return message
 
 
+def _is_same(origin: str, sender: Sender) -> bool:
+    """Whether a page comes from the host that it addresses."""
+    parts = urlsplit(origin)
+    if parts.scheme not in ("http", "https"):
+        return False
+    return split_host(parts.netloc, parts.scheme) == split_host(sender.host, sender.scheme)
+
+
+#: header fields that decide about access, and may occur only once
+_ONCE = (
+    "host",
+    "origin",
+    "authorization",
+    "content-length",
+    "x-forwarded-host",
+    "x-forwarded-proto",
+)
+
+
 def _headers(scope: Scope) -> MutableMapping[str, str]:
-    """Header fields by lower-case name; those that decide about access may occur only once."""
+    """Header fields by lower-case name, lists joined; some may occur only once."""
     found: dict[str, str] = {}
     for raw_name, raw_value in scope["headers"]:
         name = raw_name.decode("latin-1").lower()
-        if name in found and name in ("host", "origin", "authorization", "content-length"):
-            raise RequestRefused(400, f"header {name!r} occurs twice")
-        found[name] = raw_value.decode("latin-1")
+        if name in found and name in _ONCE:
+            raise RequestRefused(400, f"header {name!r} occurs twice", "header")
+        value = raw_value.decode("latin-1")
+        found[name] = f"{found[name]}, {value}" if name in found else value
     return found
 
 
@@ -215,19 +215,3 @@ def _with_security_headers(send: Send) -> Send:
         await send(message)
 
     return send_with_headers
-
-
-async def _refuse(scope: Scope, receive: Receive, send: Send, refused: RequestRefused) -> None:
-    if scope["type"] == "websocket":
-        await receive()
-        await send({"type": "websocket.close", "code": 1008, "reason": str(refused)[:120]})
-        return
-    headers: list[Any] = [(b"content-type", b"application/json"), (b"connection", b"close")]
-    if refused.status == 401:
-        headers.append((b"www-authenticate", b"Bearer"))
-    if refused.status == 429:
-        headers.append((b"retry-after", b"1"))
-    body = json.dumps({"error": str(refused)}).encode()
-    send = _with_security_headers(send)
-    await send({"type": "http.response.start", "status": refused.status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from typing import Any
 
 import msgspec
@@ -20,16 +21,18 @@ from starlette.types import ASGIApp
 
 from hueflight.acquisition.plan import CaptureError
 from hueflight.daemon.config import DaemonConfig
-from hueflight.daemon.http.access import AccessControl
+from hueflight.daemon.http.access import PERMISSION, AccessControl
 from hueflight.daemon.http.live_socket import Hub
 from hueflight.daemon.http.metrics import make_registry, render
 from hueflight.daemon.http.openapi import describe
 from hueflight.daemon.http.operations import OPERATIONS, Named, Operation
 from hueflight.daemon.http.page_files import page_routes
 from hueflight.daemon.http.picture_message import encode_picture
+from hueflight.daemon.http.roles import SESSION_PATH
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.pixel import PixelError
 from hueflight.daemon.recordings_folder import RecordingMissingError, RecordingNameError
+from hueflight.daemon.server_config import Tokens
 from hueflight.daemon.service import Service
 from hueflight.daemon.systemd import notify, watchdog_interval_s
 from hueflight.devices.rig import Connect
@@ -48,7 +51,7 @@ def make_app(
     /,
     *,
     port: int,
-    token: str | None,
+    tokens: Tokens,
 ) -> ASGIApp:
     """Return the application; acquisition begins when the server starts it.
 
@@ -62,8 +65,8 @@ def make_app(
         Instrument that the camera belongs to.
     port : int
         Port on which the server listens; part of the hosts that requests may name.
-    token : str or None
-        Token that clients must send; None if none is required.
+    tokens : Tokens
+        Tokens that clients must send.
 
     Returns
     -------
@@ -119,6 +122,9 @@ def make_app(
             503 if problems else 200,
         )
 
+    async def session(request: Request) -> Response:
+        return _json(asdict(request.scope[PERMISSION]))
+
     async def download(request: Request) -> Response:
         name, number = request.path_params["name"], request.path_params["segment"]
         try:
@@ -127,13 +133,14 @@ def make_app(
             return _json({"error": str(error)}, _status_of(error))
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
 
-    description = describe(name=config.name, token=token is not None)
+    description = describe(name=config.name, token=tokens.operator is not None)
 
     async def openapi(_: Request) -> Response:
         return _json(description)
 
     routes: list[BaseRoute] = [
         *(_route(operation, state) for operation in OPERATIONS),
+        Route(SESSION_PATH, session, methods=["GET"]),
         Route(DOWNLOAD_PATH, download, methods=["GET"]),
         Route("/openapi.json", openapi, methods=["GET"]),
         Route("/metrics", metrics, methods=["GET"]),
@@ -146,7 +153,7 @@ def make_app(
         lifespan=lifespan,
         exception_handlers={HTTPException: _http_error, Exception: _internal_error},
     )
-    return AccessControl(app, config.server, port=port, token=token)
+    return AccessControl(app, config.server, port=port, tokens=tokens)
 
 
 async def _keep_watchdog(service: Service) -> None:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 import msgspec
 
@@ -40,10 +41,20 @@ class Connections:
         Most open connections.
     per_address : int
         Most open connections of one client address.
+    is_proxy : callable, optional
+        Returns True for the address of a proxy, which stands for many clients: only the total limit
+        holds for it.
     """
 
-    def __init__(self, total: int, per_address: int, /) -> None:
-        self._total, self._per_address = total, per_address
+    def __init__(
+        self,
+        total: int,
+        per_address: int,
+        /,
+        *,
+        is_proxy: Callable[[str], bool] = lambda _: False,
+    ) -> None:
+        self._total, self._per_address, self._is_proxy = total, per_address, is_proxy
         self._open: dict[Connection, str] = {}  # oldest first
         self.refused = 0
 
@@ -68,7 +79,7 @@ class Connections:
         """
         of_address = [other for other, its in self._open.items() if its == address]
         crowd: list[Connection] | None = None
-        if len(of_address) >= self._per_address:
+        if len(of_address) >= self._per_address and not self._is_proxy(address):
             crowd = of_address
         elif len(self._open) >= self._total:
             crowd = list(self._open)
@@ -85,6 +96,22 @@ class Connections:
     def remove(self, connection: Connection, /) -> None:
         """Forget a connection that is closed."""
         self._open.pop(connection, None)
+
+
+def address_of(transport: Any, /) -> str:
+    """Return the address of the other end of a connection.
+
+    Parameters
+    ----------
+    transport : asyncio.BaseTransport
+        The connection.
+
+    Returns
+    -------
+    str
+        Address, ``"unknown"`` if it has none.
+    """
+    return (transport.get_extra_info("peername") or ("unknown",))[0]
 
 
 def refusal(reason: str, /) -> bytes:

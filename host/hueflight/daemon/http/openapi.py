@@ -4,21 +4,30 @@
 from __future__ import annotations
 
 from importlib.metadata import version
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from hueflight.daemon.http.operations import NAME_PATTERN, OPERATIONS, Operation
+from hueflight.daemon.http.refusal import RefusalCode
+from hueflight.daemon.http.roles import SESSION_PATH, TokenState
+from hueflight.daemon.server_config import Role
 
 _ERROR = {
     "type": "object",
-    "properties": {"error": {"type": "string"}},
+    "properties": {
+        "error": {"type": "string", "description": "Reason for people."},
+        "code": {
+            "enum": list(get_args(RefusalCode)),
+            "description": "Reason for programs, of a request that was not allowed.",
+        },
+    },
     "required": ["error"],
 }
 _REFUSALS = {
     "400": "The request is malformed.",
-    "401": "A token is required.",
-    "403": "The request comes from a page of another origin.",
+    "401": "The token is missing (code 'token missing') or wrong ('token wrong').",
+    "403": "The request comes from a page of another origin, or needs the role of an operator.",
     "413": "The body of the request is too large.",
     "421": "The daemon does not serve the host that the request names.",
     "429": "The client sends too many requests.",
@@ -60,6 +69,7 @@ def describe(*, name: str, token: bool) -> dict[str, Any]:
             | _refusals(),
         }
     }
+    paths[SESSION_PATH] = {"get": _session()}
     paths["/api/recordings/{name}/segments/{segment}"] = {"get": _download()}
     described: dict[str, Any] = {
         "openapi": "3.1.0",
@@ -117,6 +127,23 @@ def _operation(operation: Operation) -> dict[str, Any]:
     if operation.missing:
         described["responses"]["404"] = _error("There is no such recording, or no such pixel.")
     return described
+
+
+def _session() -> dict[str, Any]:
+    """Description of the request that says what a token is good for."""
+    schema = {
+        "type": "object",
+        "properties": {
+            "token": {"enum": list(get_args(TokenState))},
+            "role": {"enum": [*get_args(Role), None]},
+        },
+        "required": ["token", "role"],
+    }
+    return {
+        "operationId": "session",
+        "summary": "Check the token that is sent; needs none",
+        "responses": {"200": _answer("What the token is good for.", schema)} | _refusals(),
+    }
 
 
 def _download() -> dict[str, Any]:

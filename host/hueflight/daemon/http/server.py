@@ -15,7 +15,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
 from hueflight.daemon.http.app import make_app
-from hueflight.daemon.http.connections import Connections, refusal
+from hueflight.daemon.http.connections import Connections, address_of, refusal
+from hueflight.daemon.http.sender import Senders
+from hueflight.daemon.http.tls import Certificate, tls_gates
 from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.devices.rig import Connect
 from hueflight.model.instrument import Instrument
@@ -39,8 +41,7 @@ class _LimitedRequests(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
         self._expect_request()
-        address = (transport.get_extra_info("peername") or ("unknown",))[0]
-        if not self.open_connections.admit(self, address):
+        if not self.open_connections.admit(self, address_of(transport)):
             transport.write(refusal("too many connections are open: try again later"))
             transport.close()
 
@@ -152,15 +153,29 @@ def web_server(app: Any, config: ServerConfig, /) -> uvicorn.Server:
     -------
     uvicorn.Server
         The server, not started.
+
+    Raises
+    ------
+    ConfigError
+        If the certificate can't be used.
     """
+    connections = Connections(
+        config.max_connections,
+        config.max_connections_per_address,
+        is_proxy=Senders(config).is_proxy,
+    )
 
     class Requests(_LimitedRequests):
-        open_connections = Connections(config.max_connections, config.max_connections_per_address)
+        open_connections = connections
 
+    protocol: Any = Requests
+    if config.certificate_file:
+        protocol = tls_gates(Requests, Certificate(config), connections, handshake_s=REQUEST_S)
     return uvicorn.Server(
         uvicorn.Config(
             app,
-            http=Requests,
+            http=protocol,
+            proxy_headers=False,  # access control knows whose word to take
             ws="websockets-sansio",
             # pictures hardly shrink, and compression takes most of a core
             ws_per_message_deflate=False,
@@ -195,7 +210,7 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
     ConfigError
         If the address or the data folder can't be used, or a token is required and missing.
     """
-    token = config.server.token()
+    tokens = config.server.tokens()
     raise_file_limit(config.server)
     try:
         RecordingsFolder(config.folder / "recordings")
@@ -206,9 +221,11 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
     sock = open_socket(config)
     host, port = sock.getsockname()[:2]
     shown = f"[{host}]" if ":" in host else host
-    app = make_app(config, connect, instrument, port=port, token=token)
+    app = make_app(config, connect, instrument, port=port, tokens=tokens)
+    web = web_server(app, config.server)
     # a full garbage collection of all modules would stop everything else for 0.1 s
     gc.collect()
     gc.freeze()
-    log.info("listening", url=f"http://{shown}:{port}/", name=config.name, token=token is not None)
-    asyncio.run(web_server(app, config.server).serve(sockets=[sock]))
+    url = f"{config.server.scheme}://{shown}:{port}/"
+    log.info("listening", url=url, name=config.name, token=tokens.operator is not None)
+    asyncio.run(web.serve(sockets=[sock]))

@@ -37,6 +37,10 @@ async def echo(request: Request) -> Response:
     return PlainTextResponse(await request.body())
 
 
+async def who(request: Request) -> Response:
+    return PlainTextResponse(f"{request.url.scheme} {request.client.host}.")
+
+
 async def long(request: Request) -> Response:
     async def parts() -> Any:
         for _ in range(6):
@@ -74,6 +78,7 @@ def port(cut_off: threading.Event, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     routes = [
         Route("/echo", echo, methods=["POST"]),
         Route("/long", long),
+        Route("/who", who),
         WebSocketRoute("/live", live),
         WebSocketRoute("/flood", flood),
     ]
@@ -159,6 +164,14 @@ def test_who_reads_nothing_is_cut_off(port: int, cut_off: threading.Event) -> No
             + b"Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
         )
         assert cut_off.wait(WAIT_S)
+
+
+def test_nobody_is_taken_for_a_proxy(port: int) -> None:
+    """The web server itself believes no forwarding header, also of clients on loopback."""
+    with opened(port) as sock:
+        head = HEAD.format("GET /who") + "X-Forwarded-For: 203.0.113.9\r\n"
+        sock.sendall((head + "X-Forwarded-Proto: https\r\n\r\n").encode())
+        assert answer(sock, b".").endswith(b"http 127.0.0.1.")
 
 
 def test_a_viewer_that_says_too_much_is_refused(port: int) -> None:

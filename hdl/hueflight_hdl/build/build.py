@@ -32,6 +32,14 @@ _PACKERS = {
 _ECP5_ROUTE = " --placer-heap-timingweight 30 --tmg-ripup"
 """These designs fill little of the device, and the default weight of 10 spreads them over it."""
 
+_ONLY_TOP = "delete =$paramod* =A:blackbox %i"
+"""A yosys command that removes declarations of primitives from the netlist.
+
+Among them is one for each content of a memory, with a name made of that content. The router numbers
+names in the order in which it meets them, so these would let constants such as the hash of the
+sources change the placement.
+"""
+
 Progress = Callable[[str], None]
 
 
@@ -142,6 +150,9 @@ def prepare(target: Target, folder: Path, /) -> list[list[str]]:
         **({"ecppack_opts": "--compress"} if target.family == "ecp5" else {}),
         **target.options,
     }
+    options["script_after_synth"] = "; ".join(
+        filter(None, (options.get("script_after_synth"), _ONLY_TOP))
+    )
     plan = target.platform().prepare(target.top(), NAME, emit_src=False, **options)
     plan.extract(str(folder))
     return _commands(folder / f"build_{NAME}.sh") if target.family in _PACKERS else []

@@ -21,7 +21,9 @@ _HEAD = f"""# Bitstreams
 The resources and clock frequencies of each design, from real builds with the open toolchain
 (yosys, nextpnr, Project Trellis and Project IceStorm). Every clock must be able to run at least
 {REQUIRED_MARGIN:.0%} faster than its frequency; otherwise the build ends with exit code 2
-and a message. The same sources, tools and seed give the same bits.
+and a message. The same sources, tools and seed give the same bits. What identifies a build
+(version, hash of the sources, serial number) is the content of a block memory, which does not
+affect placement: a change of these alone leaves cells and margins as they are.
 
 This page is generated from the reports of those builds:
 

@@ -41,6 +41,11 @@ def simulate(
         ),
     ] = None,
     rays: int = 1,
+    motion: Annotated[tuple[float, float, float], Parameter(negative_iterable=())] = (
+        0.0,
+        0.0,
+        0.0,
+    ),
     effects: Annotated[
         simulator.Effects | None,
         Parameter(name="*", group="Effects of real scenes and sensors", negative_iterable=()),
@@ -79,6 +84,9 @@ def simulate(
     rays : int, default 1
         Number of rays along each side of a pixel, over which its light is averaged. With 4, for
         example, 16 rays per pixel give pixels at the edge of an object a share of both surfaces.
+    motion : tuple of float, default (0, 0, 0)
+        How far the scene moves during the capture: metres to the right, down and away from the
+        camera.
     effects : Effects, optional
         Effects that an ideal model leaves out; all are off by default.
     truth : Path, optional
@@ -100,8 +108,15 @@ def simulate(
             f"--rays {rays}: the white plane of a capture of kind {capture} has no edges; leave "
             "--rays out or capture a scene"
         )
+    if capture != "scene" and any(motion):
+        raise SceneError(
+            f"--motion {motion}: the white plane of a capture of kind {capture} stands still; "
+            "leave --motion out or capture a scene"
+        )
     simulated = (
-        simulator.scene(scene, described, rays=rays, **options) if capture == "scene" else None
+        simulator.scene(scene, described, rays=rays, motion=motion, **options)
+        if capture == "scene"
+        else None
     )
     refuse_existing(out, overwrite=overwrite)
     if truth is not None:
@@ -113,6 +128,8 @@ def simulate(
     metadata: dict[str, Any] = {"capture": capture, "scene": scene, "simulated": True}
     if rays != 1:
         metadata["rays"] = result["rays"] = rays
+    if any(motion):
+        metadata["motion"] = result["motion"] = ", ".join(f"{part:g} m" for part in motion)
     if effects.active:
         text = ", ".join(f"{name} = {value}" for name, value in effects.active.items())
         metadata["effects"] = result["effects"] = text

@@ -11,7 +11,7 @@ histograms are drawn from it. `docs/simulator.md` describes the model.
 ((192, 128, 512), 100)
 """
 
-from hueflight.simulator.effects import Effects
+from hueflight.simulator.effects import EFFECTS, Effects, NamedEffect
 from hueflight.simulator.ground_truth import EffectTruth, effect_truth, write_truth
 from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
 from hueflight.simulator.named_scenes import SCENES, NamedScene, scene, scenes
@@ -30,12 +30,14 @@ from hueflight.simulator.simulated_captures import (
 
 __all__ = [
     "CAPTURES",
+    "EFFECTS",
     "NOTHING",
     "SCENES",
     "CaptureKind",
     "EffectTruth",
     "Effects",
     "Exposure",
+    "NamedEffect",
     "NamedScene",
     "Pixels",
     "Rates",

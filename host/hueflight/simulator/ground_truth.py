@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from hueflight.files import staged
 from hueflight.model.instrument import Instrument
-from hueflight.simulator.light import scene_returns
+from hueflight.simulator.light import expected_rates, scene_returns
+from hueflight.simulator.probabilities import probability_tiles
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings, pixels, time_bins
 
 _SAME_DEPTH_M = 1e-3
+_OBJECTS = ("surface", "pane", "leaf")  # paths of light that comes directly from an object
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class EffectTruth:
     photons : ndarray of float, shape (return, band, row, col)
         Detectable photons per period of each of these returns.
     stray_photons : ndarray of float, shape (band, row, col)
-        Detectable photons per period of lens flare and of the fixed reflection.
+        Detectable photons per period of lens flare, of the fixed reflection, of multipath and of
+        fog.
     empty : ndarray of bool, shape (row, col)
         Pixels that receive no LED light from the scene.
     turned_hot : ndarray of bool, shape (row, col)
@@ -43,6 +46,11 @@ class EffectTruth:
         Drift of the LEDs' delays, ps.
     pulse_width_factor : ndarray of float, shape (band,)
         Factor on the duration of the LED pulses.
+    crosstalk : ndarray of float, shape (row, col)
+        Expected avalanches per exposure that neighbors set off, whether or not a photon was first.
+    trapped : ndarray of float, shape (row, col)
+        Fraction of exposures that begin with a trapped carrier, from which an afterpulse comes
+        unless a photon is first.
     edges_ns : ndarray of float, shape (bin + 1,)
         Edges of the converter's time bins, drift included, ns.
     """
@@ -55,6 +63,8 @@ class EffectTruth:
     turned_hot: NDArray[np.bool_]
     delay_drift_ps: NDArray[np.float64]
     pulse_width_factor: NDArray[np.float64]
+    crosstalk: NDArray[np.float64]
+    trapped: NDArray[np.float64]
     edges_ns: NDArray[np.float64]
 
     def mixed(self, step: float = 0.01, share: float = 0.02) -> NDArray[np.bool_]:
@@ -106,10 +116,10 @@ def effect_truth(
     settings = settings or SimulationSettings()
     effects = settings.effects
     returns = scene_returns(scene, instrument, settings)
-    seen = [part for part in returns if part.name in ("surface", "pane")]
+    seen = [part for part in returns if part.name in _OBJECTS]
     stray = np.zeros(seen[0].photons.shape)
     for part in returns:
-        if part.name not in ("surface", "pane"):
+        if part.name not in _OBJECTS:
             stray = stray + part.photons
     depths, photons = _merged(
         np.stack([part.depth for part in seen]), np.stack([part.photons for part in seen])
@@ -118,6 +128,7 @@ def effect_truth(
     total = light.sum(axis=0)
     before = settings.replace(effects=effects.replace(new_hot_share=0.0))
     bands = len(instrument.bands)
+    crosstalk, trapped = _secondary(scene, instrument, settings)
     return EffectTruth(
         depths=depths,
         shares=np.divide(light, total, out=np.zeros_like(light), where=total > 0),
@@ -125,10 +136,31 @@ def effect_truth(
         stray_photons=stray,
         empty=total == 0,
         turned_hot=pixels(instrument, settings).hot & ~pixels(instrument, before).hot,
-        delay_drift_ps=effects.band_values("delay_drift_ps", bands),
-        pulse_width_factor=effects.band_values("pulse_width_factor", bands),
+        delay_drift_ps=effects.delay_change_ps(bands),
+        pulse_width_factor=effects.width_change(bands),
+        crosstalk=crosstalk,
+        trapped=trapped,
         edges_ns=time_bins(instrument, settings).edges_ns,
     )
+
+
+def _secondary(
+    scene: Scene, instrument: Instrument, settings: SimulationSettings
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`EffectTruth.crosstalk` and `EffectTruth.trapped`, (row, col)."""
+    crosstalk, trapped = np.zeros(scene.shape), np.zeros(scene.shape)
+    rates = expected_rates(scene, instrument, settings)
+    if rates.secondary is None:
+        return crosstalk, trapped
+    everything = range(scene.shape[0])
+    fired = rates.occupancy()[..., None]
+    for share, occupancy in rates.secondary.neighbors(fired, everything, everything):
+        crosstalk += (share * occupancy)[..., 0]
+    if rates.secondary.afterpulse_share:
+        for rows, probabilities in probability_tiles(rates):
+            counted = probabilities[..., rates.bins.codes].sum(axis=-1)
+            trapped[rows] = rates.secondary.afterpulse_share * counted
+    return crosstalk, trapped
 
 
 def write_truth(

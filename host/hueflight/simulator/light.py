@@ -13,11 +13,20 @@ from hueflight.errors import InstrumentError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.model.pileup import periods_per_exposure
 from hueflight.model.pulses import Pulse
-from hueflight.model.spectra import WAVELENGTH_NM, detection, mean_detection
+from hueflight.model.spectra import (
+    WAVELENGTH_NM,
+    band_weights,
+    detection,
+    mean_detection,
+    reflectance,
+)
 from hueflight.model.time_bins import TimeBins
 from hueflight.simulator.effects.background_shape import UnevenBackground, background_shares
+from hueflight.simulator.effects.fog import FOG_END_M, attenuation, fog_returns
+from hueflight.simulator.effects.foliage import LEAF_SURFACE, Leaf, free_share, leaves
 from hueflight.simulator.effects.pulse_changes import pulse_trains
-from hueflight.simulator.effects.returns import Return, fixed_reflection, lens_flare
+from hueflight.simulator.effects.returns import Return, bounced, fixed_reflection, lens_flare
+from hueflight.simulator.effects.secondary_avalanches import SecondaryAvalanches
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings, pixels, time_bins
 
@@ -48,6 +57,8 @@ class Rates:
         Pulses of each band where they differ from those of the instrument.
     uneven : UnevenBackground or None
         Background that is not constant in time, in addition to `background`.
+    secondary : SecondaryAvalanches or None
+        Crosstalk and afterpulses.
     """
 
     instrument: Instrument
@@ -60,6 +71,7 @@ class Rates:
     further: tuple[Return, ...] = ()
     trains: tuple[tuple[Pulse, ...], ...] | None = None
     uneven: UnevenBackground | None = None
+    secondary: SecondaryAvalanches | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,10 +98,13 @@ class Rates:
             background=self.background[rows],
             further=tuple(part.rows(rows) for part in self.further),
             uneven=self.uneven and self.uneven.rows(rows),
+            secondary=self.secondary and self.secondary.rows(rows),
         )
 
     def detections(self) -> NDArray[np.float64]:
         """Expected number of photons per exposure if every one of them were counted.
+
+        Crosstalk and afterpulses are not photons and are left out.
 
         Returns
         -------
@@ -109,7 +124,7 @@ class Rates:
         Returns
         -------
         ndarray of float, shape (row, col)
-            Fraction of exposures that are not empty, 0 to 1.
+            Fraction of exposures that are not empty, 0 to 1, without crosstalk and afterpulses.
         """
         return -np.expm1(-self.detections())
 
@@ -215,6 +230,15 @@ def expected_rates(
     if effects.background_ramp or effects.background_decay_share:
         uneven = UnevenBackground(ambient * alive, background_shares(bins, effects))
         ambient = np.zeros_like(ambient)
+    secondary = None
+    if effects.crosstalk_share or effects.afterpulse_share:
+        secondary = SecondaryAvalanches(
+            crosstalk_share=effects.crosstalk_share,
+            afterpulse_share=effects.afterpulse_share,
+            afterpulse_ns=effects.afterpulse_ns,
+            alive=alive,
+            sensor_rows=instrument.sensor.rows,
+        )
     return Rates(
         instrument=instrument,
         photons=first.photons * alive,
@@ -233,6 +257,7 @@ def expected_rates(
         ),
         trains=pulse_trains(instrument, effects),
         uneven=uneven,
+        secondary=secondary,
     )
 
 
@@ -270,30 +295,79 @@ def scene_returns(
     scene.require_fit(instrument)
     white = white_photons(instrument, settings)
     emitted = white * settings.band_drive(instrument)
-    parts = scene.footprint or (scene,)
+    parts = scene.parts()
+    share = 1 / len(parts)
+    foliage = leaves(effects, scene.shape, settings.seed)
     returns: list[Return] = []
     for part in parts:
         surface = _surface_return(part, instrument, emitted)
+        if effects.fog_per_m or foliage:
+            passed = attenuation(effects, _range_m(part, instrument))
+            passed = passed * free_share(foliage, part.depth, part.visible)
+            surface = replace(surface, photons=surface.photons * passed)
         if len(parts) > 1:
-            surface = replace(surface, photons=surface.photons / len(parts))
+            surface = replace(surface, photons=surface.photons * share)
         if effects.pane_share:
             behind = effects.pane_share * _behind_pane(part, effects.pane_depth)
             surface = replace(surface, photons=surface.photons * (1 - behind))
             pane = _facing_plane("pane", effects.pane_depth, _ray_cosine(part, instrument), emitted)
-            returns.append(replace(pane, photons=pane.photons * behind / len(parts)))
+            returns.append(replace(pane, photons=pane.photons * behind * share))
         returns.append(surface)
     returns.sort(key=lambda part: part.name != "surface")  # stable: the scene's light comes first
+    returns += _leaf_returns(foliage, scene, instrument, settings, emitted)
+    surfaces = [part for part in returns if part.name == "surface"]
     if effects.flare_share:
         returns.append(lens_flare(returns, effects.flare_share, effects.flare_delay_ns))
     if effects.reflection:
         at_once = effects.reflection_delay_ns
         returns.append(fixed_reflection(effects.reflection * emitted, at_once, scene.shape))
+    if effects.bounce_share:
+        color = effects.bounce_share * _mean_reflectance(scene, instrument)
+        late_ns = effects.bounce_path / SPEED_OF_LIGHT_M_PER_NS
+        returns += [bounced(part, color, late_ns) for part in surfaces]
+    if effects.fog_per_m:
+        cosine = _ray_cosine(scene, instrument)
+        free_m = np.where(scene.visible, _range_m(scene, instrument), FOG_END_M)
+        returns += fog_returns(effects, emitted[:, None, None] * cosine**5, free_m)
     return tuple(returns)
+
+
+def _range_m(scene: Scene, instrument: Instrument) -> NDArray[np.float64]:
+    """Range along each ray to what it meets, m; that of 1 m of depth where it meets nothing."""
+    return np.where(scene.visible, scene.depth, 1.0) / _ray_cosine(scene, instrument)
+
+
+def _mean_reflectance(scene: Scene, instrument: Instrument) -> NDArray[np.float64]:
+    """Mean reflectance over the pixels that see something, (band,)."""
+    if not scene.visible.any():
+        return np.zeros(len(instrument.bands))
+    return scene.band_reflectance(instrument)[:, scene.visible].mean(axis=1)
+
+
+def _leaf_returns(
+    foliage: tuple[Leaf, ...],
+    scene: Scene,
+    instrument: Instrument,
+    settings: SimulationSettings,
+    emitted: NDArray[np.float64],
+) -> list[Return]:
+    """Light of the leaves in front of what the ray through each pixel's center meets."""
+    cosine = _ray_cosine(scene, instrument)
+    color = (band_weights(instrument) @ reflectance(LEAF_SURFACE))[:, None, None]
+    free = np.ones(scene.shape)
+    result = []
+    for leaf in foliage:
+        cover = np.where(~scene.visible | (leaf.depth_m < scene.depth), leaf.cover, 0.0)
+        plane = _facing_plane("leaf", leaf.depth_m, cosine, emitted)
+        passed = free * cover * attenuation(settings.effects, leaf.depth_m / cosine)
+        result.append(replace(plane, photons=plane.photons * color * passed))
+        free = free * (1 - cover)
+    return result
 
 
 def _surface_return(scene: Scene, instrument: Instrument, emitted: NDArray[np.float64]) -> Return:
     ray_cosine = _ray_cosine(scene, instrument)
-    range_m = np.where(scene.visible, scene.depth, 1.0) / ray_cosine
+    range_m = _range_m(scene, instrument)
     vignetting = ray_cosine**4
     geometry = np.where(scene.visible, ray_cosine * scene.incidence / range_m**2 * vignetting, 0.0)
     reflected = scene.band_reflectance(instrument) + scene.glare
@@ -302,12 +376,15 @@ def _surface_return(scene: Scene, instrument: Instrument, emitted: NDArray[np.fl
 
 
 def _facing_plane(
-    name: str, depth_m: float, ray_cosine: NDArray[np.float64], emitted: NDArray[np.float64]
+    name: str,
+    depth_m: float | NDArray[np.float64],
+    ray_cosine: NDArray[np.float64],
+    emitted: NDArray[np.float64],
 ) -> Return:
     """Light of a white plane that faces the camera."""
     range_m = depth_m / ray_cosine
     geometry = ray_cosine**2 / range_m**2 * ray_cosine**4
-    depth = np.full(ray_cosine.shape, depth_m)
+    depth = np.broadcast_to(np.asarray(depth_m, float), ray_cosine.shape)
     photons = emitted[:, None, None] * geometry
     return Return(name, photons, 2 * range_m / SPEED_OF_LIGHT_M_PER_NS, depth)
 
@@ -319,13 +396,18 @@ def _ambient_light(
     effects = settings.effects
     full = settings.ambient * white_photons(instrument, settings).sum()
     weights = _ambient_weights(instrument)
-    parts = scene.footprint or (scene,)
+    parts = scene.parts()
+    foliage = leaves(effects, scene.shape, settings.seed)
+    leaf_color = float(reflectance(LEAF_SURFACE) @ weights)
     total: NDArray[np.float64] | None = None
     for part in parts:
         ambient = full * _ray_cosine(part, instrument) ** 4
         reflected = part.mean_reflectance(weights)
         if effects.sky:
             reflected = np.where(part.visible, reflected, effects.sky)
+        if foliage:
+            free = free_share(foliage, part.depth, part.visible)
+            reflected = reflected * free + leaf_color * (1 - free)
         if effects.pane_share:
             behind = effects.pane_share * _behind_pane(part, effects.pane_depth)
             reflected = reflected * (1 - behind) + behind

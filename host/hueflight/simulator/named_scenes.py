@@ -19,9 +19,11 @@ from hueflight.model.spectra import reflectance
 from hueflight.simulator.effects.footprint import Rays, footprint_rays
 from hueflight.simulator.open_scenes import skyline
 from hueflight.simulator.paper_scenes import shelf_scene, wall_scene
-from hueflight.simulator.scene import NOTHING, Layer, Scene, illuminator_positions, trace
+from hueflight.simulator.scene import NOTHING, Layer, Scene, illuminator_positions, moved, trace
 from hueflight.simulator.scene_layout import Layout, SurfaceTable
 from hueflight.simulator.shapes import Array
+
+MOMENTS = 16  #: positions of a scene that moves during a capture
 
 
 def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:
@@ -173,6 +175,7 @@ def scene(
     ring_m: float = 0.01,
     indirect: float = 0.03,
     rays: int = 1,
+    motion: tuple[float, float, float] = (0.0, 0.0, 0.0),
     **options: Any,
 ) -> Scene:
     """Lay out a named scene for an instrument.
@@ -195,6 +198,10 @@ def scene(
     rays : int, default 1
         Number of rays along each side of a pixel. With more than 1, `Scene.footprint` holds the
         scene along each ray, and the light of a pixel is their mean.
+    motion : tuple of float, default (0, 0, 0)
+        How far the scene moves during a capture: metres to the right, down and away from the
+        camera. `Scene.moments` then holds the scene at 16 moments, and the scene itself is that at
+        the middle of the capture.
     **options : float, int or str
         Options of the scene: the keyword arguments of its `SCENES` entry's `build`.
 
@@ -206,8 +213,8 @@ def scene(
     Raises
     ------
     SceneError
-        If there is no such scene or option, `indirect` is not in 0 to 1, or a distance is not
-        positive.
+        If there is no such scene or option, `indirect` is not in 0 to 1, a distance is not
+        positive at all moments, or the motion is not finite.
     """
     if name not in SCENES:
         raise SceneError(f"no scene {name!r}: there are {', '.join(SCENES)}")
@@ -218,17 +225,21 @@ def scene(
     if not 0 <= indirect <= 1:
         raise SceneError(f"indirect = {indirect!r}: must be from 0 to 1")
     layout = entry.build(**options)
+    if not all(isfinite(part) for part in motion):
+        raise SceneError(f"motion = {motion!r}: must be three finite numbers, in metres")
     for layer in layout.layers:
-        if not (isfinite(layer.depth_m) and layer.depth_m > 0):
+        nearest = layer.depth_m - abs(motion[2]) / 2
+        if not (isfinite(nearest) and nearest > 0):
             raise SceneError(
-                f"scene {name!r} with {options}: an object is at {layer.depth_m:g} m; "
+                f"scene {name!r} with {options}: an object is at {nearest:g} m; "
                 "distances must be positive and finite"
             )
 
-    def along(rays: Rays | None) -> Scene:
+    def along(rays: Rays | None, moment: float) -> Scene:
+        right, down, away = (moment * part for part in motion)
         return trace(
             name,
-            layout.layers,
+            [moved(layer, (right, down, away)) for layer in layout.layers],
             instrument,
             surfaces=tuple(layout.surfaces.spectra),
             spectra=layout.surfaces.table(),
@@ -239,7 +250,14 @@ def scene(
             rays=rays,
         )
 
-    if rays == 1:
-        return along(None)
-    footprint = tuple(along(ray) for ray in footprint_rays(instrument, rays))
-    return replace(along(None), footprint=footprint)
+    def at(moment: float) -> Scene:
+        center = along(None, moment)
+        if rays == 1:
+            return center
+        footprint = tuple(along(ray, moment) for ray in footprint_rays(instrument, rays))
+        return replace(center, footprint=footprint)
+
+    if not any(motion):
+        return at(0.0)
+    times = (np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5
+    return replace(at(0.0), moments=tuple(at(float(moment)) for moment in times))

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from hueflight.model.instrument import Instrument
 from hueflight.model.pulses import Pulse
 from hueflight.model.time_bins import TimeBins
+from hueflight.simulator.effects.secondary_avalanches import SecondaryAvalanches
 from hueflight.simulator.light import Rates
 
 # Cubic interpolation of a bin's share between delays h apart has an error of at most
@@ -130,9 +131,10 @@ def code_probabilities(rates: Rates, rows: slice = slice(None)) -> NDArray[np.fl
         Probability of each code. If the sensor reports empty exposures, they have code 0 and the
         probabilities of a pixel sum to 1; otherwise they sum to its occupancy.
     """
-    part = rates.rows(rows)
-    table = _pulse_table(part)
-    return _tile_probabilities(part, table)
+    chosen = range(*rows.indices(rates.shape[0]))
+    given = rates.secondary.surroundings(chosen) if rates.secondary else chosen
+    table = _pulse_table(rates.rows(slice(given.start, given.stop)))
+    return _tile_probabilities(rates, table, chosen)
 
 
 def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]]]:
@@ -154,8 +156,8 @@ def probability_tiles(rates: Rates) -> Iterator[tuple[slice, NDArray[np.float64]
     rows, cols = rates.shape
     step = max(1, _TILE_BYTES // (8 * cols * rates.instrument.sensor.codes))
     for start in range(0, rows, step):
-        tile = slice(start, min(rows, start + step))
-        yield tile, _tile_probabilities(rates.rows(tile), table)
+        tile = range(start, min(rows, start + step))
+        yield slice(tile.start, tile.stop), _tile_probabilities(rates, table, tile)
 
 
 def _pulse_table(rates: Rates) -> PulseTable:
@@ -164,22 +166,70 @@ def _pulse_table(rates: Rates) -> PulseTable:
     return PulseTable.build(rates.instrument, rates.bins, extremes, rates.trains)
 
 
-def _tile_probabilities(rates: Rates, table: PulseTable) -> NDArray[np.float64]:
-    """Probability of every code, shape (row, col, code); the table must cover all delays."""
-    sensor, bins = rates.instrument.sensor, rates.bins
-    bands = rates.photons.shape[0]
-    expected = table.expected(rates.photons.reshape(bands, -1), rates.delay_ns.ravel())
-    for part in rates.further:
-        expected += table.expected(part.photons.reshape(bands, -1), part.delay_ns.ravel())
-    expected += rates.background.reshape(-1, 1) * (bins.widths_ns / bins.span_ns)
-    if rates.uneven is not None:
-        expected += rates.uneven.photons.reshape(-1, 1) * rates.uneven.shares
-    in_bins = first_photon_probabilities(expected, rates.periods, pile_up=rates.pile_up)
-    result = np.zeros((expected.shape[0], sensor.codes))
-    result[:, bins.codes] = in_bins
+def _tile_probabilities(rates: Rates, table: PulseTable, rows: range) -> NDArray[np.float64]:
+    """Probability of every code of some rows; the table must cover their delays."""
+    secondary = rates.secondary
+    if secondary is None:
+        in_bins, empty = _first_event(_expected_light(rates, table, rows), rates)
+    else:
+        in_bins, empty = _with_secondary(rates, table, rows, secondary)
+    sensor = rates.instrument.sensor
+    result = np.zeros((*empty.shape, sensor.codes))
+    result[..., rates.bins.codes] = in_bins
     if sensor.reports_empty:
-        result[:, 0] = np.exp(-rates.periods * expected.sum(axis=1))
-    return result.reshape(*rates.shape, sensor.codes)
+        result[..., 0] = empty
+    return result
+
+
+def _expected_light(rates: Rates, table: PulseTable, rows: range) -> NDArray[np.float64]:
+    """Expected photons per period of some rows, (row, col, bin)."""
+    part = rates.rows(slice(rows.start, rows.stop))
+    bins, bands = part.bins, part.photons.shape[0]
+    expected = table.expected(part.photons.reshape(bands, -1), part.delay_ns.ravel())
+    for other in part.further:
+        expected += table.expected(other.photons.reshape(bands, -1), other.delay_ns.ravel())
+    expected += part.background.reshape(-1, 1) * (bins.widths_ns / bins.span_ns)
+    if part.uneven is not None:
+        expected += part.uneven.photons.reshape(-1, 1) * part.uneven.shares
+    return expected.reshape(*part.shape, bins.count)
+
+
+def _first_event(
+    expected: NDArray[np.float64], rates: Rates, *, pile_up: bool | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Probability of each bin, (..., bin), and of an empty exposure, (...)."""
+    pile_up = rates.pile_up if pile_up is None else pile_up
+    in_bins = first_photon_probabilities(expected, rates.periods, pile_up=pile_up)
+    return in_bins, np.exp(-rates.periods * expected.sum(axis=-1))
+
+
+def _with_secondary(
+    rates: Rates, table: PulseTable, rows: range, secondary: SecondaryAvalanches
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Probabilities like those of `_first_event`, with crosstalk and afterpulses."""
+    given = secondary.surroundings(rows)
+    parts = secondary.mixture(_expected_light(rates, table, given), given, rows)
+
+    def mean(
+        rate: float, *, pile_up: bool | None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        further = rate * rates.bins.widths_ns
+        in_bins, empty = np.zeros(parts[0][1].shape), np.zeros(parts[0][1].shape[:-1])
+        for share, light in parts:
+            bins, none = _first_event(light + further, rates, pile_up=pile_up)
+            in_bins, empty = in_bins + share * bins, empty + share[..., 0] * none
+        return in_bins, empty
+
+    in_bins, empty = mean(0.0, pile_up=None)
+    if secondary.afterpulse_share:
+        # the decay over the period is the pile-up of a constant rate, so that it can't be off
+        alive = secondary.alive[rows.start : rows.stop]
+        late_bins, late_empty = mean(1 / secondary.afterpulse_ns, pile_up=True)
+        counted = secondary.counted(1 - empty, 1 - late_empty)
+        begins = np.where(alive, secondary.afterpulse_share * counted, 0.0)
+        in_bins = in_bins + begins[..., None] * (late_bins - in_bins)
+        empty = empty + begins * (late_empty - empty)
+    return in_bins, empty
 
 
 def first_photon_probabilities(

@@ -53,21 +53,38 @@ def simulate_histogram(
         negative.
     """
     _check_frames(frames)
-    rates = expected_rates(scene, instrument, settings)
     rng = _generator(seed, 3)
     dtype = np.uint16 if frames <= np.iinfo(np.uint16).max else np.uint32
-    histogram = np.empty(instrument.histogram_shape, dtype=dtype)
+    histogram = np.zeros(instrument.histogram_shape, dtype=dtype)
+    for moment, count in _moments(scene, frames):
+        rates = expected_rates(moment, instrument, settings)
+        _add_histogram(histogram, rates, count, rng)
+    return histogram
+
+
+def _add_histogram(
+    histogram: NDArray[np.unsignedinteger], rates: Rates, frames: int, rng: np.random.Generator
+) -> None:
+    """Draw the counts of a number of exposures and add them to a histogram (row, col, code)."""
     for rows, probabilities in probability_tiles(rates):
         # the empty exposure comes last, as the last outcome absorbs the rounding error
-        if instrument.sensor.reports_empty:
+        if rates.instrument.sensor.reports_empty:
             outcomes = np.roll(probabilities, -1, axis=-1)
             counts = np.roll(rng.multinomial(frames, outcomes), 1, axis=-1)
         else:
             rest = np.maximum(0, 1 - probabilities.sum(axis=-1, keepdims=True))
             counts = rng.multinomial(frames, np.concatenate([probabilities, rest], axis=-1))
             counts = counts[..., :-1]
-        histogram[rows] = counts
-    return histogram
+        histogram[rows] += counts.astype(histogram.dtype)
+
+
+def _moments(scene: Scene, frames: int) -> Iterator[tuple[Scene, int]]:
+    """Scene at each moment of a capture, and the number of frames of that moment."""
+    moments = scene.moments or (scene,)
+    for index, moment in enumerate(moments):
+        count = frames * (index + 1) // len(moments) - frames * index // len(moments)
+        if count:
+            yield moment, count
 
 
 def simulate_codes(
@@ -112,8 +129,17 @@ def simulate_codes(
     """
     require_codes(instrument)
     _check_frames(frames)
-    rates = expected_rates(scene, instrument, settings).rows(rows)
-    return _draw_codes(rates, frames, _generator(seed, 4), block_frames)
+    (first, count), *later = _moments(scene, frames)
+    rates = expected_rates(first, instrument, settings).rows(rows)  # errors come before any frame
+    rng = _generator(seed, 4)
+
+    def frame_blocks() -> Iterator[NDArray[np.uint16]]:
+        yield from _draw_codes(rates, count, rng, block_frames)
+        for moment, number in later:
+            next_rates = expected_rates(moment, instrument, settings).rows(rows)
+            yield from _draw_codes(next_rates, number, rng, block_frames)
+
+    return frame_blocks()
 
 
 def _draw_codes(

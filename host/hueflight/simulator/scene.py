@@ -105,6 +105,9 @@ class Scene:
     footprint : tuple of Scene
         The scene along each ray of the pixels' footprint, whose light is averaged; empty where a
         pixel sees along the ray through its centre only.
+    moments : tuple of Scene
+        The scene at equally spaced moments of a capture during which it moves; empty where it
+        stands still.
     """
 
     name: str
@@ -118,6 +121,7 @@ class Scene:
     regions: Mapping[str, NDArray[np.bool_]]
     rays: Rays | None = None
     footprint: tuple[Scene, ...] = ()
+    moments: tuple[Scene, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -128,6 +132,18 @@ class Scene:
     def visible(self) -> NDArray[np.bool_]:
         """Whether the ray of each pixel meets a surface, shape (row, col)."""
         return self.surface != NOTHING
+
+    def parts(self) -> tuple[Scene, ...]:
+        """Return the scene along each ray and at each moment, whose light is averaged.
+
+        Returns
+        -------
+        tuple of Scene
+            Scenes of one ray per pixel that stand still; at least one.
+        """
+        return tuple(
+            ray for moment in self.moments or (self,) for ray in moment.footprint or (moment,)
+        )
 
     def require_fit(self, instrument: Instrument) -> None:
         """Check that the scene was laid out for the geometry of an instrument.
@@ -217,6 +233,30 @@ class Scene:
         # index −1 of pixels without a surface selects the appended column
         padded = np.concatenate([of_surface, np.zeros((of_surface.shape[0], 1))], axis=1)
         return padded[:, self.surface]
+
+
+def moved(layer: Layer, displacement_m: tuple[float, float, float]) -> Layer:
+    """Displace a layer.
+
+    Parameters
+    ----------
+    layer : Layer
+        Layer in its original position.
+    displacement_m : tuple of float
+        Metres to the right, down and away from the camera.
+
+    Returns
+    -------
+    Layer
+        The displaced layer.
+    """
+    right, down, away = displacement_m
+    paint, relief = layer.paint, layer.relief
+    return Layer(
+        layer.depth_m + away,
+        lambda x, y: paint(x - right, y - down),
+        relief and (lambda x, y: relief(x - right, y - down)),
+    )
 
 
 def illuminator_positions(

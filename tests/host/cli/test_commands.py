@@ -321,6 +321,13 @@ def test_a_simulation_with_effects_says_which_and_writes_their_truth(bench: Path
         assert truth["shares"].sum(axis=0) == pytest.approx(1)
         assert truth["turned_hot"].sum() == 12
         assert truth["delay_drift_ps"].tolist() == [-50, -50, -50]
+    moving = ("--motion", "0.01", "0", "-0.2", "-o", "moving.npz", "--truth", "moving_truth.npz")
+    assert run("simulate", "fig7", *words, *moving).json["motion"] == "0.01 m, 0 m, -0.2 m"
+    with np.load(bench / "moving_truth.npz") as truth:
+        assert np.nanmax(truth["depths"]) - np.nanmin(truth["depths"]) > 0.2
+    still = run("simulate", "--capture", "dark", *words, *moving[:4], "-o", "d.npz")
+    assert still.code == 1
+    assert "--motion" in still.err
     plain = run("simulate", "fig7", *words, "-o", "plain.mcap")
     assert "effects" not in plain.json
     assert "effects" not in run("info", "plain.mcap", "--json").json["metadata"]

@@ -5,6 +5,7 @@
 0.5
 """
 
+from hueflight.simulator.effects.registry import EFFECTS, NamedEffect
 from hueflight.simulator.effects.settings import Effects
 
-__all__ = ["Effects"]
+__all__ = ["EFFECTS", "Effects", "NamedEffect"]

@@ -33,8 +33,8 @@ def pulse_trains(instrument: Instrument, effects: Effects) -> tuple[tuple[Pulse,
         may have a negative area, as a convolution of two exponential decays is a difference.
     """
     bands = len(instrument.bands)
-    drift_ns = 1e-3 * effects.band_values("delay_drift_ps", bands)
-    factor = effects.band_values("pulse_width_factor", bands)
+    drift_ns = 1e-3 * effects.delay_change_ps(bands)
+    factor = effects.width_change(bands)
     trains = []
     for band in range(bands):
         train: list[Pulse] = []

@@ -17,7 +17,8 @@ class Return:
     Attributes
     ----------
     name : str
-        Path of the light: ``"surface"``, ``"pane"``, ``"flare"`` or ``"reflection"``.
+        Path of the light: ``"surface"``, ``"pane"``, ``"leaf"``, ``"flare"``, ``"reflection"``,
+        ``"bounce"`` or ``"fog"``.
     photons : ndarray of float, shape (band, row, col)
         Detectable LED photons per period.
     delay_ns : ndarray of float, shape (row, col)
@@ -94,4 +95,29 @@ def fixed_reflection(
         np.broadcast_to(photons[:, None, None], (photons.size, *shape)),
         np.full(shape, delay_ns),
         np.full(shape, np.nan),
+    )
+
+
+def bounced(direct: Return, color: NDArray[np.float64], late_ns: float) -> Return:
+    """Return the light that reaches surfaces by way of other ones.
+
+    Parameters
+    ----------
+    direct : Return
+        Light of the surfaces without it.
+    color : ndarray of float, shape (band,)
+        Fraction of the direct light in each band.
+    late_ns : float
+        Additional time of flight, ns.
+
+    Returns
+    -------
+    Return
+        Light with the color of both surfaces.
+    """
+    return Return(
+        "bounce",
+        direct.photons * color[:, None, None],
+        direct.delay_ns + late_ns,
+        np.full(direct.depth.shape, np.nan),
     )

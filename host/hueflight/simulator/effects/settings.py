@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,16 @@ from hueflight.errors import SceneError
 
 _SHARES = (
     "pane_share", "background_decay_share", "tail_share", "flare_share", "new_hot_share",
+    "bounce_share", "afterpulse_share",
 )  # fmt: skip
-_NOT_NEGATIVE = ("sky", "flare_delay_ns", "reflection", "reflection_delay_ns")
-_POSITIVE = ("pane_depth", "background_decay_ns", "tail_ns")
+_NOT_NEGATIVE = (
+    "sky", "flare_delay_ns", "reflection", "reflection_delay_ns", "foliage_thickness",
+    "bounce_path", "fog_per_m", "fog_backscatter",
+)  # fmt: skip
+_POSITIVE = (
+    "pane_depth", "background_decay_ns", "tail_ns", "foliage_depth", "fog_start", "afterpulse_ns",
+)  # fmt: skip
+_FINITE = ("delay_drift_ps", "delay_ps_per_kelvin", "width_per_kelvin", "warming")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +44,26 @@ class Effects:
         as in a fine mesh or a dusty window. The scene behind it keeps the remaining fraction.
     pane_depth : float
         Depth of the pane along the optical axis, m. What lies in front of it is not affected.
+    foliage_share : float
+        Mean fraction of a pixel that green leaves in front of the scene cover, below 1. Each pixel
+        sees three leaves of random depth, each of which covers a random part of what is left.
+    foliage_depth : float
+        Depth of the nearest leaves, m.
+    foliage_thickness : float
+        Distance from the nearest leaves to the farthest, m.
+    fog_per_m : float
+        Extinction coefficient of fog, 1/m: light is attenuated by the factor e per ``1/fog_per_m``
+        of its way, and what fog scatters back arrives before the light of the scene.
+    fog_backscatter : float
+        Light that 1 m of thin fog with an extinction coefficient of 1/m returns, relative to a
+        white surface. Droplets have a lidar ratio near 18 sr, hence pi/18 = 0.17.
+    fog_start : float
+        Range from which the LEDs illuminate what the pixels see, m.
+    bounce_share : float
+        Multipath: light that reaches each surface by way of another one, as a fraction of the
+        direct light if the other is white. It has the picture's mean reflectance in each band.
+    bounce_path : float
+        Additional path of that light, m.
     background_ramp : float
         Relative slope of the ambient light over the time bins. At 0.5, for example, its intensity
         rises linearly from 0.5 to 1.5 times its mean; it falls if the value is negative.
@@ -48,6 +76,13 @@ class Effects:
     pulse_width_factor : float or tuple of float
         Factor on the duration of the LED pulses about the centre of their Gaussian part: one
         number, or one per band.
+    warming : float
+        Rise of the LEDs' temperature since the calibration, K.
+    delay_ps_per_kelvin : float or tuple of float
+        Later emission for each kelvin of `warming`, ps: one number, or one per band.
+    width_per_kelvin : float or tuple of float
+        Relative growth of the pulse duration for each kelvin of `warming`: one number, or one per
+        band.
     tail_share : float
         Fraction of all LED light that arrives through an exponential delay, as by multipath
         between surfaces or scattering in fog.
@@ -68,16 +103,35 @@ class Effects:
     bin_width_drift : float
         Standard deviation of the relative change of each time bin's width, drawn from the seed of
         the sensor.
+    crosstalk_share : float
+        Probability that an avalanche in a pixel sets off one at the same time in each of its four
+        neighbors, at most 0.25.
+    afterpulse_share : float
+        Probability that an exposure with a count leaves a trapped carrier, which sets off an
+        avalanche in the next exposure unless a photon comes first.
+    afterpulse_ns : float
+        Mean lifetime of trapped carriers, ns.
     """
 
     sky: float = 0.0
     pane_share: float = 0.0
     pane_depth: float = 0.3
+    foliage_share: float = 0.0
+    foliage_depth: float = 0.3
+    foliage_thickness: float = 0.2
+    fog_per_m: float = 0.0
+    fog_backscatter: float = 0.17
+    fog_start: float = 0.1
+    bounce_share: float = 0.0
+    bounce_path: float = 0.5
     background_ramp: float = 0.0
     background_decay_share: float = 0.0
     background_decay_ns: float = 50.0
     delay_drift_ps: float | tuple[float, ...] = 0.0
     pulse_width_factor: float | tuple[float, ...] = 1.0
+    warming: float = 0.0
+    delay_ps_per_kelvin: float | tuple[float, ...] = 10.0
+    width_per_kelvin: float | tuple[float, ...] = 0.001
     tail_share: float = 0.0
     tail_ns: float = 3.0
     flare_share: float = 0.0
@@ -86,38 +140,54 @@ class Effects:
     reflection_delay_ns: float = 0.0
     new_hot_share: float = 0.0
     bin_width_drift: float = 0.0
+    crosstalk_share: float = 0.0
+    afterpulse_share: float = 0.0
+    afterpulse_ns: float = 50.0
 
     def __post_init__(self) -> None:
         for name in _SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise SceneError(f"effects.{name} = {getattr(self, name)!r}: must lie in 0..1")
+            self._require(name, "must lie in 0..1", lambda value: 0 <= value <= 1)
         for name in _NOT_NEGATIVE:
-            if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise SceneError(
-                    f"effects.{name} = {getattr(self, name)!r}: must be a finite number, 0 or more"
-                )
+            self._require(
+                name, "must be a finite number, 0 or more", lambda value: 0 <= value < inf
+            )
         for name in _POSITIVE:
-            if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise SceneError(
-                    f"effects.{name} = {getattr(self, name)!r}: must be a finite number above 0"
-                )
-        if not -1 <= self.background_ramp <= 1:
+            self._require(name, "must be a finite number above 0", lambda value: 0 < value < inf)
+        for name in _FINITE:
+            self._require(name, "must be finite", isfinite)
+        self._require(
+            "background_ramp",
+            "must lie in -1..1, so that no light is negative",
+            lambda value: -1 <= value <= 1,
+        )
+        self._require(
+            "bin_width_drift",
+            "must lie in 0..0.25, so that every bin keeps a width",
+            lambda value: 0 <= value <= 0.25,
+        )
+        self._require(
+            "crosstalk_share",
+            "must lie in 0..0.25, so that four neighbors do not add up to more than 1",
+            lambda value: 0 <= value <= 0.25,
+        )
+        self._require(
+            "foliage_share",
+            "must be 0 or more and below 1, so that some light passes",
+            lambda value: 0 <= value < 1,
+        )
+        self._require(
+            "pulse_width_factor", "must be finite and above 0", lambda value: 0 < value < inf
+        )
+        if any(1 + growth * self.warming <= 0 for growth in _numbers(self.width_per_kelvin)):
             raise SceneError(
-                f"effects.background_ramp = {self.background_ramp!r}: must lie in -1..1, so that "
-                "no light is negative"
+                f"effects.width_per_kelvin = {self.width_per_kelvin!r} with effects.warming = "
+                f"{self.warming!r}: must leave the pulses a width above 0"
             )
-        if not 0 <= self.bin_width_drift <= 0.25:
-            raise SceneError(
-                f"effects.bin_width_drift = {self.bin_width_drift!r}: must lie in 0..0.25, so that "
-                "every bin keeps a width"
-            )
-        if not all(isfinite(drift) for drift in _numbers(self.delay_drift_ps)):
-            raise SceneError(f"effects.delay_drift_ps = {self.delay_drift_ps!r}: must be finite")
-        if not all(isfinite(f) and f > 0 for f in _numbers(self.pulse_width_factor)):
-            raise SceneError(
-                f"effects.pulse_width_factor = {self.pulse_width_factor!r}: must be finite and "
-                "above 0"
-            )
+
+    def _require(self, name: str, rule: str, holds: Callable[[float], bool]) -> None:
+        value = getattr(self, name)
+        if not all(holds(number) for number in _numbers(value)):
+            raise SceneError(f"effects.{name} = {value!r}: {rule}")
 
     @property
     def active(self) -> dict[str, Any]:
@@ -149,7 +219,7 @@ class Effects:
 
         Parameters
         ----------
-        name : {"delay_drift_ps", "pulse_width_factor"}
+        name : {"delay_drift_ps", "pulse_width_factor", "delay_ps_per_kelvin", "width_per_kelvin"}
             Name of the attribute.
         bands : int
             Number of bands of the instrument.
@@ -173,6 +243,48 @@ class Effects:
                 "give one per band"
             )
         return np.array(value, dtype=np.float64)
+
+    def delay_change_ps(self, bands: int) -> NDArray[np.float64]:
+        """Return how much later each LED emits than at its calibration, ps.
+
+        Parameters
+        ----------
+        bands : int
+            Number of bands of the instrument.
+
+        Returns
+        -------
+        ndarray of float, shape (band,)
+            Sum of `delay_drift_ps` and of what `warming` causes.
+
+        Raises
+        ------
+        SceneError
+            If one of them is given for another number of bands.
+        """
+        warm = self.warming * self.band_values("delay_ps_per_kelvin", bands)
+        return self.band_values("delay_drift_ps", bands) + warm
+
+    def width_change(self, bands: int) -> NDArray[np.float64]:
+        """Return the factor on the duration of each LED's pulses.
+
+        Parameters
+        ----------
+        bands : int
+            Number of bands of the instrument.
+
+        Returns
+        -------
+        ndarray of float, shape (band,)
+            Product of `pulse_width_factor` and of what `warming` causes.
+
+        Raises
+        ------
+        SceneError
+            If one of them is given for another number of bands.
+        """
+        warm = 1 + self.warming * self.band_values("width_per_kelvin", bands)
+        return self.band_values("pulse_width_factor", bands) * warm
 
 
 def _numbers(value: float | tuple[float, ...]) -> tuple[float, ...]:

@@ -13,7 +13,8 @@ histograms are drawn from it. `docs/simulator.md` describes the model.
 
 from hueflight.simulator.effects import EFFECTS, Effects, NamedEffect
 from hueflight.simulator.ground_truth import EffectTruth, effect_truth, write_truth
-from hueflight.simulator.light import Rates, expected_rates, radiometric_detections, white_photons
+from hueflight.simulator.light import Rates, expected_rates
+from hueflight.simulator.light_budget import radiometric_detections, white_photons
 from hueflight.simulator.named_scenes import SCENES, NamedScene, scene, scenes
 from hueflight.simulator.probabilities import code_probabilities, probability_tiles
 from hueflight.simulator.sampling import simulate_codes, simulate_histogram

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from hueflight.files import staged
 from hueflight.model.instrument import Instrument
-from hueflight.simulator.light import expected_rates, scene_returns
+from hueflight.simulator.light import expected_rates
+from hueflight.simulator.light_paths import scene_returns
 from hueflight.simulator.probabilities import probability_tiles
 from hueflight.simulator.scene import Scene
 from hueflight.simulator.settings import SimulationSettings, pixels, time_bins

@@ -27,7 +27,7 @@ class SimulationSettings:
         The scale of the light budget: LED photons that a pixel on the axis would detect per
         exposure without dead time, from a white plane at 1 m with all LEDs on. Everything else
         follows from the instrument (power, spectra, optics) and the scene (distance, angle,
-        reflectance). `light.radiometric_detections` computes the value for an open iris.
+        reflectance). `light_budget.radiometric_detections` computes the value for an open iris.
     drive : float or tuple of float
         Strength of the LEDs, one number or one per band; 0 is off.
     ambient : float

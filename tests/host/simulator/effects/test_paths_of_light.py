@@ -19,7 +19,7 @@ from hueflight.simulator import (
     simulate_codes,
     simulate_histogram,
 )
-from hueflight.simulator.light import scene_returns
+from hueflight.simulator.light_paths import scene_returns
 
 LIGHT_M_PER_NS = 0.299792458
 SIGMA_NS, PERIOD_NS, LATENCY_NS = 3.4, 200.0, 20.0

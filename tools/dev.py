@@ -5,6 +5,7 @@
     python3 tools/dev.py demo            the simulated instrument, end to end, as a report
     python3 tools/dev.py test [--full]   lint, format, types, tests; --full adds the slow ones
     python3 tools/dev.py bench NAME      a benchmark of tools/bench
+    python3 tools/dev.py faults          runs of the daemon with faults at random
     python3 tools/dev.py run ARG...      any command inside the environment
 
 Only the standard library is used here. The environment is made once in `.venv` and again
@@ -101,7 +102,11 @@ def run_inside(arguments: list[str]) -> None:
     run([str(own) if own.exists() else arguments[0], *arguments[1:]])
 
 
-COMMANDS = {"demo": demo, "test": test, "bench": bench, "run": run_inside}
+def faults(arguments: list[str]) -> None:
+    run([str(BIN / "python"), str(ROOT / "tools" / "fault_runs.py"), *arguments])
+
+
+COMMANDS = {"demo": demo, "test": test, "bench": bench, "faults": faults, "run": run_inside}
 
 
 def main() -> None:

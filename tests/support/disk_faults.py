@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import errno
 import mmap
-import shutil
 import struct
-import subprocess
 from pathlib import Path
 
-SOURCE = Path(__file__).with_name("disk_shim.c")
+from support.shims import compile_shim
+
 NAMES = ("write", "create", "sync", "rename", "room", "share")
 
 
@@ -20,19 +19,16 @@ class DiskFaults:
     Parameters
     ----------
     build : Path
-        Folder for the compiled library and the control file.
+        Folder for the compiled library.
     folder : Path
         Folder whose files fail.
+    control : Path, optional
+        File through which the process is told, which is made; by default in `build`.
     """
 
-    def __init__(self, build: Path, folder: Path) -> None:
-        compiler = shutil.which("cc") or shutil.which("gcc")
-        assert compiler is not None, "a C compiler is needed"
-        build.mkdir(parents=True, exist_ok=True)
-        library, control = build / "disk_shim.so", build / "control"
-        subprocess.run(
-            [compiler, "-shared", "-fPIC", "-O1", "-o", library, SOURCE, "-ldl"], check=True
-        )
+    def __init__(self, build: Path, folder: Path, control: Path | None = None) -> None:
+        library = compile_shim("disk_shim", build)
+        control = control or build / "control"
         control.write_bytes(bytes(4 * len(NAMES)))
         with control.open("r+b") as file:
             self._control = mmap.mmap(file.fileno(), 0)

@@ -6,6 +6,7 @@ One device for both emulations, the fake usbfs below libusb and the usbredir ser
 
 from __future__ import annotations
 
+import random
 import struct
 import threading
 from collections import deque
@@ -38,6 +39,7 @@ class EmulatedCamera:
     zero_length : transfers still to come that are answered with nothing.
     most : most bytes per transfer, for short packets; None for as many as fit.
     deaf : control messages are taken and never answered.
+    damage : share of the transfers of the stream in which one bit is wrong.
     """
 
     def __init__(
@@ -61,6 +63,8 @@ class EmulatedCamera:
         self.zero_length = 0
         self.most: int | None = None
         self.deaf = False
+        self.damage = 0.0
+        self._rng = random.Random(1)
         self.delivered_bytes = 0
         self._answers: deque[bytes] = deque()
         self._lock = threading.Lock()
@@ -133,4 +137,8 @@ class EmulatedCamera:
             return data + bytes(size + 1 - len(data))
         data = self.model.pull(size if self.most is None else min(size, self.most))
         self.delivered_bytes += len(data)
+        if data and self._rng.random() < self.damage:
+            spoiled = bytearray(data)
+            spoiled[self._rng.randrange(len(spoiled))] ^= 1 << self._rng.randrange(8)
+            data = bytes(spoiled)
         return data or None

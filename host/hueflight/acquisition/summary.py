@@ -12,6 +12,8 @@ from hueflight.acquisition.plan import RunResult
 from hueflight.errors import OutputError
 from hueflight.files import replace_file
 
+WRITTEN_LATE = "the summary could not be written at once"  #: failure that a summary may name
+
 
 def summarise(result: RunResult, /) -> dict[str, Any]:
     """Return what was counted in a run.
@@ -58,14 +60,14 @@ def write_summary(recording: Path, result: RunResult, /) -> dict[str, Any]:
     Returns
     -------
     dict
-        Content of the summary; also where a disk that is full can't take the file, which is then
-        the failure that the summary names.
+        Content of the summary; also where the disk refuses the file, which is then the failure that
+        the summary names.
     """
     summary = {"name": recording.stem} | summarise(result)
     try:
         write_summary_file(recording, summary)
     except OutputError as error:
-        summary["failure"] = summary["failure"] or f"the summary is missing: {error}"
+        summary["failure"] = summary["failure"] or f"{WRITTEN_LATE}: {error}"
     return summary
 
 

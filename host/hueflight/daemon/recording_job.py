@@ -14,7 +14,7 @@ import structlog
 from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.acquisition.precision_stop import PrecisionStop
 from hueflight.acquisition.runner import Acquisition
-from hueflight.acquisition.summary import write_summary
+from hueflight.acquisition.summary import WRITTEN_LATE, write_summary
 from hueflight.calibration import Calibration
 from hueflight.daemon.recordings_folder import RecordingsFolder, timestamp_name
 from hueflight.devices.illumination import CaptureKind
@@ -40,7 +40,7 @@ class RecordingJob:
         Returns the name of the calibration in use, which is noted in each recording; empty if there
         is none.
     on_ended : callable
-        Called with the name of each recording that has ended.
+        Called with name and summary of each recording that has ended.
     check_free : callable
         Raises a `CaptureError` if the camera is needed for something else.
 
@@ -59,7 +59,7 @@ class RecordingJob:
         daemon_name: str,
         calibration: Callable[[], Calibration | None],
         calibration_name: Callable[[], str] = lambda: "",
-        on_ended: Callable[[str], None] = lambda _: None,
+        on_ended: Callable[[str, dict[str, Any]], None] = lambda _, __: None,
         check_free: Callable[[], None] = lambda: None,
     ) -> None:
         self._acquisition = acquisition
@@ -212,9 +212,10 @@ class RecordingJob:
                 self.last = write_summary(self._folder.path(name), done.result())
                 event = "recording ended"  # even if early: the summary says why
             except Exception as error:
-                failure = done.result().failure or f"the summary is missing: {error}"
+                failure = done.result().failure or f"{WRITTEN_LATE}: {error}"
                 self.last = {"name": name, "failure": failure}
-        self._on_ended(name)  # before the name is free, so that nobody renames what is finished
+        # before the name is free, so that nobody renames what is being finished
+        self._on_ended(name, self.last)
         with self._lock:
             self._name = ""
         (log.error if self.last["failure"] else log.info)(event, **self.last)

@@ -40,7 +40,8 @@ def block(language: str, containing: str) -> str:
 @pytest.fixture
 def proxy(tmp_path: Path, start_simulated: Start) -> Iterator[tuple[Daemon, int, ssl.SSLContext]]:
     """A daemon, the port of nginx in front of it, and whom to trust."""
-    program, openssl = shutil.which("nginx", path="/usr/sbin:/usr/local/sbin:/usr/bin"), shutil.which("openssl")
+    program = shutil.which("nginx", path="/usr/sbin:/usr/local/sbin:/usr/bin")
+    openssl = shutil.which("openssl")
     if program is None or openssl is None:
         pytest.skip("nginx is not installed")
     certificate, key, port = tmp_path / "lab.pem", tmp_path / "lab.key", free_port()

@@ -60,6 +60,14 @@ class Daemon:
             _, rest = self.end(signal.SIGKILL)
             raise AssertionError(f"no daemon: {error}{rest}") from None
         self.url = json.loads(first)["url"].rstrip("/")
+        self._foxglove_url = ""
+
+    @property
+    def foxglove_url(self) -> str:
+        """Address for Foxglove, which is in the second line of the log."""
+        if not self._foxglove_url:
+            self._foxglove_url = json.loads(self._log.next(PATIENCE_S))["url"]
+        return self._foxglove_url
 
     def get(self, path: str) -> Any:
         with urllib.request.urlopen(self.url + path, timeout=30) as answer:

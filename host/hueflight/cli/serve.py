@@ -47,6 +47,7 @@ def serve(
     ] = None,
     host: str | None = None,
     port: int | None = None,
+    foxglove: bool | None = None,
     token_file: Path | None = None,
     json_logs: bool | None = None,
 ) -> None:
@@ -87,6 +88,9 @@ def serve(
     port : int, optional
         Port to listen at; 0 selects any that is free. By default what the configuration file
         says, or 8470.
+    foxglove : bool, optional
+        Serve live pictures to Foxglove, on a port of its own. By default what the configuration
+        file says, or not.
     token_file : Path, optional
         File with the token that clients must present. By default what the configuration file
         says; without one, only the loopback interface can be used.
@@ -115,6 +119,7 @@ def serve(
         "camera": camera,
         "illuminator": illuminator,
         "method": method,
+        "foxglove": foxglove,
     }
     server = {
         "host": host,

@@ -78,6 +78,8 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Threads that count photons.
     picture_threads : int
         Threads that reconstruct, at a lower priority; 0 for one per core.
+    foxglove : bool
+        Serve live pictures to Foxglove, on a port of its own.
     server : ServerConfig
         Address, and limits on clients.
     recording : RecordingConfig
@@ -98,6 +100,7 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     change_sigma: float = 4.0
     threads: int = 1
     picture_threads: int = 0
+    foxglove: bool = False
     server: ServerConfig = ServerConfig()
     recording: RecordingConfig = RecordingConfig()
 

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight.color.display import three_band_rgb
 from hueflight.color.observer import encoded, linear_of
 from hueflight.color.picture import LEAST_BANDS, VISIBLE_NM
 from hueflight.color.recovery import LEAST_NOISE, SpectralModel
@@ -66,6 +67,24 @@ class LiveColor:
         white = max(float(np.percentile(brightest, WHITE_PERCENT)), 1e-12)
         level = np.clip(linear * ((LEVELS - 1) / white) + 0.5, 0, LEVELS - 1)
         return _SRGB[level.astype(np.uint16)]
+
+    def shown(self, image: xr.Dataset, /) -> NDArray[np.uint8]:
+        """Return the colours of an image, or false colours if too few bands are visible.
+
+        Parameters
+        ----------
+        image : xarray.Dataset
+            Reconstructed image.
+
+        Returns
+        -------
+        array of uint8, shape (row, col, 3)
+            Values of sRGB, black where the reflectance is unknown.
+        """
+        if not self._has_color and np.isfinite(image["reflectance"].values).any(axis=(0, 1)).all():
+            return np.rint(three_band_rgb(image) * 255).astype(np.uint8)
+        rgb = self.render(image)
+        return np.zeros((*image["depth"].shape, 3), np.uint8) if rgb is None else rgb
 
     def _matrix(self, noise: float) -> NDArray[np.float32]:
         """Matrix (rgb, band) for about this much noise."""

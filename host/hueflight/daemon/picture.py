@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
+
+_NOTHING = np.empty(0, np.uint16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,21 @@ class Picture:
     received_s: float
     begun_s: float
     ready_s: float
+
+    def received_unix_s(self) -> float:
+        """Return the time at which the last photon had arrived, in seconds since 1970."""
+        return time.time() - (time.monotonic() - self.received_s)
+
+    def without_histogram(self) -> Picture:
+        """Return the same picture without the histogram, whose memory can then be reused."""
+        return replace(self, histogram=_NOTHING)
+
+    def exact(self) -> xr.Dataset:
+        """Return the image, or a dataset with only ``photons`` if there is none."""
+        if self.image is not None:
+            return self.image
+        attributes = {"units": "count", "long_name": "photons in the pixel's histogram"}
+        return xr.Dataset({"photons": (("row", "col"), self.photons.astype(np.uint32), attributes)})
 
 
 def count_photons(

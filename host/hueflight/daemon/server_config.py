@@ -12,8 +12,10 @@ from typing import Literal
 from hueflight.daemon.config_section import ConfigError, Section, require_ranges
 
 DEFAULT_PORT = 8470
+DEFAULT_FOXGLOVE_PORT = 8765  #: where Foxglove looks for a live source
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 MIN_TOKEN_LENGTH = 16
+_ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s]*")
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:(\d{1,5}|\*))?")
 
 Role = Literal["viewer", "operator"]
@@ -72,6 +74,10 @@ class ServerConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Requests that one client address may send at once.
     max_body_bytes : int
         Most bytes in the body of a request.
+    foxglove_port : int
+        Port for Foxglove, if the daemon serves it; 0 for any free one.
+    foxglove_origins : tuple of str
+        Origins of web pages that may connect to that port, such as ``https://app.foxglove.dev``.
     """
 
     host: str = "127.0.0.1"
@@ -88,6 +94,8 @@ class ServerConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     requests_per_s: float = 50.0
     burst: int = 100
     max_body_bytes: int = 1 << 16
+    foxglove_port: int = DEFAULT_FOXGLOVE_PORT
+    foxglove_origins: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_ranges(
@@ -100,7 +108,14 @@ class ServerConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             requests_per_s=(1, 1e6),
             burst=(1, 1_000_000),
             max_body_bytes=(1 << 10, 1 << 24),
+            foxglove_port=(0, 65535),
         )
+        for origin in self.foxglove_origins:
+            if not _ORIGIN.fullmatch(origin):
+                raise ConfigError(
+                    f"server.foxglove_origins has {origin!r}: write it as "
+                    "'https://app.foxglove.dev', without a path"
+                )
         for host in self.allowed_hosts:
             if not _HOST.fullmatch(host):
                 raise ConfigError(

@@ -43,7 +43,13 @@ class Points:
     units: dict[str, str]
 
 
-def image_points(image: xr.Dataset, /, *, instrument: Instrument | None = None) -> Points:
+def image_points(
+    image: xr.Dataset,
+    /,
+    *,
+    instrument: Instrument | None = None,
+    rgb: NDArray[np.uint8] | None = None,
+) -> Points:
     """Compute the point cloud of an image.
 
     Parameters
@@ -53,6 +59,8 @@ def image_points(image: xr.Dataset, /, *, instrument: Instrument | None = None) 
     instrument : Instrument, optional
         Instrument whose lens gives the direction of each pixel; by default the one that the image
         describes.
+    rgb : ndarray of uint8, shape (row, col, 3), optional
+        Colours of the pixels; by default those of `hueflight.color.color_picture`.
 
     Returns
     -------
@@ -94,5 +102,6 @@ def image_points(image: xr.Dataset, /, *, instrument: Instrument | None = None) 
         elif name != "depth":  # which is z
             fields[str(name)] = variable.transpose("row", "col").values[known]
             units[str(name)] = unit
-    rgb = np.rint(color_picture(image, instrument=source)[known] * 255).astype(np.uint8)
-    return Points(xyz=xyz, rgb=rgb, fields=fields, units=units)
+    if rgb is None:
+        rgb = np.rint(color_picture(image, instrument=source) * 255).astype(np.uint8)
+    return Points(xyz=xyz, rgb=rgb[known], fields=fields, units=units)

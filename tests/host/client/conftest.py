@@ -33,13 +33,16 @@ def small_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def start(small_file: Path) -> Iterator[StartDaemon]:
-    """Function that starts a daemon: start(folder, port=0, **server)."""
+    """Function that starts a daemon: start(folder, port=0, top="", **server)."""
     started: list[Daemon] = []
 
-    def run(folder: Path, *, port: int = 0, **server: str | int) -> Daemon:
+    def run(
+        folder: Path, *, port: int = 0, top: str = "", **server: str | int | list[str]
+    ) -> Daemon:
         lines = [
             'name = "bench"', f'instrument = "{small_file}"', f'data = "{folder}/data"',
             'rig = "simulated:fig1?frames=2400&distance=0.4"', "pictures_hz = 30",
+            top,
             "[server]", f"port = {port}", "requests_per_s = 500", "burst = 500",
             *(f"{key} = {value!r}" for key, value in server.items()),
         ]  # fmt: skip

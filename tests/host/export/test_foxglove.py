@@ -24,7 +24,7 @@ from hueflight.color import color_picture
 from hueflight.errors import ExportError
 from hueflight.export import image_points, write
 from hueflight.export.description import band_labels
-from hueflight.export.foxglove import OPTICAL_ROTATION, camera_matrix
+from hueflight.export.foxglove_messages import OPTICAL_ROTATION, camera_matrix
 from hueflight.files.image_schema import captures
 
 Messages = dict[str, list[tuple[int, Any]]]

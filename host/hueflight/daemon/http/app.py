@@ -22,6 +22,7 @@ from starlette.types import ASGIApp
 from hueflight.acquisition.plan import CaptureError
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.http.access import PERMISSION, AccessControl
+from hueflight.daemon.http.foxglove_app import by_port, foxglove_app
 from hueflight.daemon.http.live_socket import Hub
 from hueflight.daemon.http.metrics import make_registry, render
 from hueflight.daemon.http.openapi import describe
@@ -52,6 +53,7 @@ def make_app(
     *,
     port: int,
     tokens: Tokens,
+    foxglove_port: int | None = None,
 ) -> ASGIApp:
     """Return the application; acquisition begins when the server starts it.
 
@@ -67,6 +69,8 @@ def make_app(
         Port on which the server listens; part of the hosts that requests may name.
     tokens : Tokens
         Tokens that clients must send.
+    foxglove_port : int, optional
+        Port of the same server on which Foxglove is served.
 
     Returns
     -------
@@ -83,6 +87,8 @@ def make_app(
             hub: Hub | None = state.get("hub")
             if hub is None or not service.viewers:
                 return  # nobody is watching: spare the work
+            if "foxglove" in state:
+                state["foxglove"].offer(picture)
             messages: dict[Coding, bytes] = {
                 coding: encode_picture(picture, service.live_color, coding=coding)
                 for coding in hub.codings
@@ -94,6 +100,10 @@ def make_app(
         )
         state["service"] = service
         state["hub"] = Hub(service, config.server.max_viewers)
+        if foxglove_port is not None:
+            from hueflight.daemon.http.foxglove_hub import FoxgloveHub
+
+            state["foxglove"] = FoxgloveHub(service, config.server.max_viewers)
         state["registry"] = make_registry(service)
         watchdog = asyncio.create_task(_keep_watchdog(service))
         notify("READY=1")
@@ -101,6 +111,8 @@ def make_app(
         log.info("shutting down")
         notify("STOPPING=1")
         watchdog.cancel()
+        if "foxglove" in state:
+            await state["foxglove"].close()
         await run_in_threadpool(service.close)
         log.info("ended", **service.status()["totals"])
 
@@ -153,7 +165,13 @@ def make_app(
         lifespan=lifespan,
         exception_handlers={HTTPException: _http_error, Exception: _internal_error},
     )
-    return AccessControl(app, config.server, port=port, tokens=tokens)
+    guarded = AccessControl(app, config.server, port=port, tokens=tokens)
+    if foxglove_port is None:
+        return guarded
+    foxglove = foxglove_app(
+        lambda: state["foxglove"], config.server, port=foxglove_port, tokens=tokens
+    )
+    return by_port(guarded, {foxglove_port: foxglove})
 
 
 async def _keep_watchdog(service: Service) -> None:

@@ -115,7 +115,7 @@ class Hub:
             self._messages[coding] = (picture.number, message)
         # only the times of sent pictures are needed; their arrays would occupy much memory
         self._sent[picture.number] = replace(
-            picture, histogram=_NOTHING, photons=_NOTHING, image=None
+            picture.without_histogram(), photons=_NOTHING, image=None
         )
         while len(self._sent) > _REMEMBERED:
             self._sent.popitem(last=False)
@@ -143,13 +143,13 @@ class Hub:
         await socket.accept(subprotocol=PROTOCOL if PROTOCOL in offered else None)
         viewer = Viewer(socket, query)
         self._viewers.add(viewer)
-        self._service.viewers = len(self._viewers)
+        self._service.viewers += 1
         try:
             await self._offer_latest(viewer)
             await viewer.run(self)
         finally:
             self._viewers.discard(viewer)
-            self._service.viewers = len(self._viewers)
+            self._service.viewers -= 1
 
     async def _offer_latest(self, viewer: Viewer) -> None:
         """Offer the latest picture, which may be older than the viewer."""

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.daemon.live_color import LiveColor
@@ -52,20 +50,14 @@ def encode_picture(
         "kind": picture.kind,
         "frames": picture.frames,
         "device_s": picture.device_s,
-        "received_unix_s": time.time() - (time.monotonic() - picture.received_s),
+        "received_unix_s": picture.received_unix_s(),
         "made_ms": round(1e3 * (picture.ready_s - picture.received_s), 2),
         "rows": picture.photons.shape[0],
         "cols": picture.photons.shape[1],
     }
     if coding == "exact":
-        image = picture.image
-        return message_of_image(_photons_alone(picture) if image is None else image, header)
+        return message_of_image(picture.exact(), header)
     return _for_display(picture, live_color, header)
-
-
-def _photons_alone(picture: Picture) -> xr.Dataset:
-    attributes = {"units": "count", "long_name": "photons in the pixel's histogram"}
-    return xr.Dataset({"photons": (_PLANE, picture.photons.astype(np.uint32), attributes)})
 
 
 def _for_display(picture: Picture, live_color: LiveColor, header: dict[str, Any]) -> bytes:

@@ -20,6 +20,7 @@ from hueflight.daemon.http.sender import Senders
 from hueflight.daemon.http.tls import Certificate, tls_gates
 from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.devices.rig import Connect
+from hueflight.files.optional import import_optional
 from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
@@ -78,13 +79,15 @@ class _LimitedRequests(H11Protocol):
         super().connection_lost(exc)
 
 
-def open_socket(config: DaemonConfig) -> socket.socket:
-    """Return the socket on which the daemon listens.
+def open_socket(config: ServerConfig, /, *, option: str = "port") -> socket.socket:
+    """Return a socket on which the daemon listens.
 
     Parameters
     ----------
-    config : DaemonConfig
+    config : ServerConfig
         Configuration.
+    option : str
+        Which entry of the configuration is the port.
 
     Returns
     -------
@@ -96,14 +99,14 @@ def open_socket(config: DaemonConfig) -> socket.socket:
     ConfigError
         If the address is not available.
     """
-    server = config.server
-    family = socket.AF_INET6 if ":" in server.host else socket.AF_INET
+    port = getattr(config, option)
+    family = socket.AF_INET6 if ":" in config.host else socket.AF_INET
     try:
-        sock = socket.create_server((server.host, server.port), family=family, backlog=BACKLOG)
+        sock = socket.create_server((config.host, port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise ConfigError(
-            f"can't listen on {server.host} port {server.port}: {error.strerror}: is another "
-            "daemon running? Each camera's daemon needs a port of its own (server.port)"
+            f"can't listen on {config.host} port {port}: {error.strerror}: is another "
+            f"daemon running? Each camera's daemon needs a port of its own (server.{option})"
         ) from None
     if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux; connections inherit it
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNREAD_S))
@@ -128,7 +131,8 @@ def raise_file_limit(config: ServerConfig, /) -> None:
     except ImportError:  # Windows has no such limit
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = config.max_connections + config.max_viewers + 2 * BACKLOG + OWN_FILES
+    # viewers of the page and of Foxglove
+    wanted = config.max_connections + 2 * config.max_viewers + 2 * BACKLOG + OWN_FILES
     unlimited = resource.RLIM_INFINITY
     if hard != unlimited and hard < wanted:
         raise ConfigError(
@@ -209,6 +213,8 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
     ------
     ConfigError
         If the address or the data folder can't be used, or a token is required and missing.
+    MissingPackageError
+        If Foxglove is to be served and the package foxglove-sdk is not installed.
     """
     tokens = config.server.tokens()
     raise_file_limit(config.server)
@@ -218,14 +224,23 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
         raise ConfigError(
             f"data = {config.data!r}: can't use the folder: {error.strerror or error}"
         ) from None
-    sock = open_socket(config)
-    host, port = sock.getsockname()[:2]
+    sockets = [open_socket(config.server)]
+    if config.foxglove:
+        import_optional("foxglove", extra="foxglove")
+        sockets.append(open_socket(config.server, option="foxglove_port"))
+    host, port, *_ = sockets[0].getsockname()
+    foxglove_port = sockets[1].getsockname()[1] if config.foxglove else None
     shown = f"[{host}]" if ":" in host else host
-    app = make_app(config, connect, instrument, port=port, tokens=tokens)
+    app = make_app(
+        config, connect, instrument, port=port, tokens=tokens, foxglove_port=foxglove_port
+    )
     web = web_server(app, config.server)
     # a full garbage collection of all modules would stop everything else for 0.1 s
     gc.collect()
     gc.freeze()
     url = f"{config.server.scheme}://{shown}:{port}/"
     log.info("listening", url=url, name=config.name, token=tokens.operator is not None)
-    asyncio.run(web.serve(sockets=[sock]))
+    if config.foxglove:
+        scheme = "wss" if config.server.certificate_file else "ws"
+        log.info("listening for Foxglove", url=f"{scheme}://{shown}:{foxglove_port}/")
+    asyncio.run(web.serve(sockets=sockets))

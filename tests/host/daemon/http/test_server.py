@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from hueflight.daemon.config import DaemonConfig, ServerConfig
+from hueflight.daemon.config import ServerConfig
 from hueflight.daemon.http import server
 
 PATIENCE_S = 1.0
@@ -83,7 +83,7 @@ def port(cut_off: threading.Event, monkeypatch: pytest.MonkeyPatch) -> Iterator[
         WebSocketRoute("/flood", flood),
     ]
     config = ServerConfig(port=0)
-    sock = server.open_socket(DaemonConfig(server=config))
+    sock = server.open_socket(config)
     app = Starlette(routes=routes)
     app.state.cut_off = cut_off
     web = server.web_server(app, config)

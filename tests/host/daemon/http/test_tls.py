@@ -24,7 +24,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 from websockets.sync.client import connect
 
-from hueflight.daemon.config import ConfigError, DaemonConfig, ServerConfig
+from hueflight.daemon.config import ConfigError, ServerConfig
 from hueflight.daemon.http import server, tls
 
 WAIT_S = 20.0
@@ -72,7 +72,7 @@ def port(files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Iterator[
     config = ServerConfig(
         port=0, certificate_file=str(certificate), key_file=str(key), max_connections=MOST
     )
-    sock = server.open_socket(DaemonConfig(server=config))
+    sock = server.open_socket(config)
     app = Starlette(routes=[Route("/scheme", scheme), WebSocketRoute("/live", live)])
     web = server.web_server(app, config)
     thread = threading.Thread(target=lambda: asyncio.run(web.serve(sockets=[sock])))

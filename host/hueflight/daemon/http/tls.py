@@ -94,6 +94,20 @@ def _no_password() -> str:
     raise ValueError("the key is encrypted: store it without a password, readable by the daemon")
 
 
+class _Held(asyncio.Protocol):
+    """Keeps what comes with the end of a handshake, until somebody can take it."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.lost = False
+
+    def data_received(self, data: bytes) -> None:
+        self.data += data
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.lost = True
+
+
 class TlsGate(asyncio.Protocol):
     """A connection until its handshake is over; counted from the first moment.
 
@@ -145,11 +159,11 @@ class TlsGate(asyncio.Protocol):
             self._task.cancel()
 
     async def _shake_hands(self) -> None:
-        loop = asyncio.get_running_loop()
+        loop, held = asyncio.get_running_loop(), _Held()
         try:
             secured = await loop.start_tls(
                 self._transport,
-                self._protocol,
+                held,
                 self._certificate.context(),
                 server_side=True,
                 ssl_handshake_timeout=self._handshake_s,
@@ -159,8 +173,12 @@ class TlsGate(asyncio.Protocol):
             return
         finally:
             self._connections.remove(self)
-        if secured is not None:
-            self._protocol.connection_made(secured)
+        if secured is None or held.lost:
+            return
+        secured.set_protocol(self._protocol)
+        self._protocol.connection_made(secured)
+        if held.data:
+            self._protocol.data_received(held.data)
 
 
 def tls_gates(

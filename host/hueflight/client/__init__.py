@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         VersionMismatchError,
     )
     from hueflight.client.sync_client import Client, connect
-    from hueflight.client.types import CaptureKind, Delivery, RemoteRecording
+    from hueflight.client.types import CaptureKind, Delivery, Exposure, RemoteRecording
 
 #: module of each public name
 _HOME = {
@@ -31,6 +31,7 @@ _HOME = {
     "ClientError": "hueflight.client.errors",
     "ConnectionLostError": "hueflight.client.errors",
     "Delivery": "hueflight.client.types",
+    "Exposure": "hueflight.client.types",
     "NoPictureError": "hueflight.client.errors",
     "NotReachableError": "hueflight.client.errors",
     "RefusedError": "hueflight.client.errors",
@@ -48,6 +49,7 @@ __all__ = [
     "ClientError",
     "ConnectionLostError",
     "Delivery",
+    "Exposure",
     "NoPictureError",
     "NotReachableError",
     "RefusedError",

@@ -13,7 +13,7 @@ import xarray as xr
 
 from hueflight.client.feed import PictureFeed
 from hueflight.client.sync_client import Client, connect
-from hueflight.client.types import CaptureKind, Delivery, RemoteRecording
+from hueflight.client.types import CaptureKind, Delivery, Exposure, RemoteRecording
 from hueflight.model.instrument import Instrument
 
 
@@ -122,6 +122,14 @@ class AsyncClient:
     async def stop(self) -> None:
         """End the present run, and stay idle."""
         await asyncio.to_thread(self._client.stop)
+
+    async def expose(self, frames: int = 0, /, *, timeout_s: float | None = 60.0) -> xr.Dataset:
+        """Return a picture of photons that come from now on; see `Client.expose`."""
+        return await asyncio.to_thread(self._client.expose, frames, timeout_s=timeout_s)
+
+    async def set_frames(self, frames: int = 0, /) -> Exposure:
+        """Set the frames behind each live picture; see `Client.set_frames`."""
+        return await asyncio.to_thread(self._client.set_frames, frames)
 
     async def record(
         self,

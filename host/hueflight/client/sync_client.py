@@ -16,7 +16,7 @@ from hueflight.client.address import Address
 from hueflight.client.errors import ClientError
 from hueflight.client.feed import PictureFeed
 from hueflight.client.requests import Requests
-from hueflight.client.types import CaptureKind, Delivery, RemoteRecording
+from hueflight.client.types import CaptureKind, Delivery, Exposure, RemoteRecording
 from hueflight.files.atomic import staged
 from hueflight.model.instrument import Instrument
 from hueflight.recording.layout import SUFFIX, segment_path
@@ -224,6 +224,64 @@ class Client:
     def stop(self) -> None:
         """End the present run, and stay idle."""
         self._requests.ask("POST", "/api/stop")
+
+    def expose(self, frames: int = 0, /, *, timeout_s: float | None = 60.0) -> xr.Dataset:
+        """Return a picture of photons that come from now on.
+
+        The live picture of all viewers begins anew, and holds so many frames from now on.
+
+        Parameters
+        ----------
+        frames : int
+            Frames behind the picture at least: they are rounded up to a multiple of those from one
+            live picture to the next. 0 for as many as when the daemon started.
+        timeout_s : float or None
+            Seconds within which it must come.
+
+        Returns
+        -------
+        xarray.Dataset
+            The picture, as `pictures` yields it; its attribute ``frames`` is the number of its
+            frames.
+
+        Raises
+        ------
+        RefusedError
+            If the number of frames is out of range.
+        NoPictureError
+            If no picture of so many frames comes in time, for example as the run was not started.
+        ConnectionLostError
+            If the connection breaks and can't be opened again.
+        """
+        begun = self.set_frames(frames)
+        deadline = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            left = None if deadline is None else max(0.0, deadline - time.monotonic())
+            picture = self.picture(timeout_s=left)
+            if begun.holds(picture):
+                return picture
+
+    def set_frames(self, frames: int = 0, /) -> Exposure:
+        """Set the frames behind each live picture, which begins anew.
+
+        Parameters
+        ----------
+        frames : int
+            Frames behind each picture at least, rounded up to a multiple of those from one to the
+            next; 0 for as many as when the daemon started.
+
+        Returns
+        -------
+        Exposure
+            Tells which pictures have so many frames, all of them taken from now on.
+
+        Raises
+        ------
+        RefusedError
+            If the number of frames is out of range.
+        """
+        answer = self._requests.ask("POST", "/api/picture", {"frames": frames})
+        return Exposure(answer["frames"], answer["number"])
 
     def record(
         self,

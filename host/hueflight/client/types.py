@@ -7,12 +7,45 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Literal
 
+import xarray as xr
+
 from hueflight.live.protocol import Delivery
 
-__all__ = ["CaptureKind", "Delivery", "RemoteRecording"]
+__all__ = ["CaptureKind", "Delivery", "Exposure", "RemoteRecording"]
 
 #: kind of capture, which decides which LEDs fire
 CaptureKind = Literal["scene", "reference", "bands", "dark", "flat"]
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Live pictures that were begun anew.
+
+    Attributes
+    ----------
+    frames : int
+        Frames behind each picture at least.
+    after : int
+        Number of the latest picture that may hold older photons.
+    """
+
+    frames: int
+    after: int
+
+    def holds(self, picture: xr.Dataset, /) -> bool:
+        """Return whether a picture has all its frames, none of them older than the exposure.
+
+        Parameters
+        ----------
+        picture : xarray.Dataset
+            Picture of the client.
+
+        Returns
+        -------
+        bool
+            True if it has.
+        """
+        return picture.attrs["number"] > self.after and picture.attrs["frames"] >= self.frames
 
 
 @dataclass(frozen=True)

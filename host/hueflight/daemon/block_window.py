@@ -48,6 +48,27 @@ class BlockWindow:
         self._newest: LiveBlock | None = None
         self._only: Counts | None = None  # the block's own histogram if the length is 1
 
+    @property
+    def least(self) -> int:
+        """Blocks in the sum at least, once the window is full."""
+        return self.length if self._of_part == 1 else (PARTS - 1) * self._of_part
+
+    @classmethod
+    def holding(cls, blocks: int, /) -> BlockWindow:
+        """Return a window that holds at least so many blocks once it is full.
+
+        Parameters
+        ----------
+        blocks : int
+            Blocks that it holds at least; beyond ten it may hold a few more.
+
+        Returns
+        -------
+        BlockWindow
+            The window.
+        """
+        return cls(blocks if blocks <= PARTS else PARTS * -(-blocks // (PARTS - 1)))
+
     def add(self, block: LiveBlock) -> None:
         """Add a block, and drop the oldest ones if the window is full."""
         if self.length == 1:

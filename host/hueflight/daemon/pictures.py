@@ -96,6 +96,7 @@ class Pictures:
         self.calibration: Calibration | None = None
         self.latest: Picture | None = None
         self.made = self.skipped = 0
+        self._making = False
         self.problem = ""
         self._on_picture = on_picture
         self._is_watched = is_watched
@@ -103,6 +104,8 @@ class Pictures:
         self._fitter = IncrementalFitter(change_sigma=change_sigma, threads=threads)
         self._waiting: deque[LiveBlock] = deque()
         self._window = BlockWindow(window_blocks)
+        self._next_window: BlockWindow | None = None
+        self._old_blocks = 0  # still to come, which began before the next window
         self._changed = threading.Condition()
         self._closing = False
         self._change_sigma = change_sigma
@@ -114,13 +117,37 @@ class Pictures:
     def offer(self, block: LiveBlock, /) -> None:
         """Take the next block; never waits for reconstruction."""
         with self._changed:
+            if self._old_blocks:
+                self._old_blocks -= 1
+                block.give_back()
+                return
             self._waiting.append(block)
             if len(self._waiting) > 1:
                 self.skipped += 1
             # those beyond the window would drop out of the sum at once; each one occupies memory
-            while len(self._waiting) > min(self._window.length, PARTS):
+            window = self._next_window or self._window
+            while len(self._waiting) > min(window.length, PARTS):
                 self._waiting.popleft().give_back()
             self._changed.notify()
+
+    def begin_anew(self, window: BlockWindow, /) -> int:
+        """Sum only blocks that begin from now on.
+
+        Parameters
+        ----------
+        window : BlockWindow
+            Window that sums the blocks from now on.
+
+        Returns
+        -------
+        int
+            Number of the latest picture that may hold older photons. Later ones hold none.
+        """
+        with self._changed:
+            while self._waiting:
+                self._waiting.popleft().give_back()
+            self._next_window, self._old_blocks = window, 1
+            return self.made + self._making
 
     def close(self) -> None:
         """End the thread."""
@@ -140,8 +167,12 @@ class Pictures:
                     self._changed.wait(_WAIT_S)
                 if self._closing:
                     return
+                if self._next_window is not None:
+                    self._window.clear()
+                    self._window, self._next_window = self._next_window, None
                 blocks = list(self._waiting)
                 self._waiting.clear()
+                self._making = bool(blocks)
             if not blocks:
                 continue
             begun_s = time.monotonic()
@@ -162,7 +193,8 @@ class Pictures:
 
     def _make(self, newest: LiveBlock, histogram: Counts, frames: int, begun_s: float) -> None:
         image = self._reconstruct(histogram, newest.kind, frames)
-        self.made += 1
+        with self._changed:
+            self.made, self._making = self.made + 1, False
         clock_hz = newest.block.clock_hz
         picture = Picture(
             number=self.made,

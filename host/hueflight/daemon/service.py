@@ -17,6 +17,7 @@ from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.calibration import Calibration
+from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.disk_watch import DiskWatch
@@ -169,6 +170,28 @@ class Service:
         """
         self.calibration_job.check_idle()
         self.acquisition.set_live(LIVE)
+
+    def expose(self, frames: int, /) -> tuple[int, int]:
+        """Begin a picture anew, with photons that come from now on.
+
+        Parameters
+        ----------
+        frames : int
+            Frames behind this picture and those that follow; 0 for as many as at the start.
+
+        Returns
+        -------
+        frames : int
+            Frames that each picture has at least, once so many were taken.
+        number : int
+            Number of the latest picture that may hold older photons.
+        """
+        settings = self.settings
+        if frames:
+            window = BlockWindow.holding(-(-frames // settings.block_frames))
+        else:
+            window = BlockWindow(settings.window_blocks)
+        return window.least * settings.block_frames, self.pictures.begin_anew(window)
 
     def stop(self) -> None:
         """End the present run, and stay idle.

@@ -13,6 +13,7 @@ import pytest
 
 import hueflight as hf
 from hueflight.acquisition.snapshot import LiveBlock
+from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.pictures import Pictures
 
@@ -143,3 +144,43 @@ def test_a_long_window_holds_few_histograms(instrument: hf.Instrument, length: i
         part = -(-length // PARTS)
         assert min(number + 1, length - part) <= blocks < length + part
         assert np.array_equal(window.histogram(), sums[-1] - sums[-1 - blocks])
+
+
+def test_a_picture_begun_anew_holds_no_older_photons(instrument: hf.Instrument) -> None:
+    """The block that was being counted is left out, and the sum gets its new length."""
+    made: list[Picture] = []
+    done = threading.Semaphore(0)
+    pictures = Pictures(
+        instrument, window_blocks=3, on_picture=lambda p: (made.append(p), done.release())
+    )
+    source = Source(instrument.histogram_shape)
+    blocks = [source.block(number) for number in range(8)]
+    try:
+        for number, block in enumerate(blocks):
+            if number == 3:
+                assert pictures.begin_anew(BlockWindow.holding(2)) == 3
+            pictures.offer(block)
+            if number != 3:  # which began before
+                assert done.acquire(timeout=WAIT_S)
+    finally:
+        pictures.close()
+    later = [picture for picture in made if picture.number > 3]
+    assert [picture.frames for picture in later] == [10, 20, 20, 20]
+    wanted = sum(block.block.counts[0].astype(np.uint32) for block in blocks[6:])
+    assert np.array_equal(later[-1].histogram, wanted)
+    assert sorted(source.returned)[:6] == list(range(6))
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 10, 11, 27, 100])
+def test_a_full_window_holds_as_many_blocks_as_asked(
+    instrument: hf.Instrument, blocks: int
+) -> None:
+    window = BlockWindow.holding(blocks)
+    source = Source(instrument.histogram_shape)
+    held = []
+    for number in range(3 * window.length):
+        window.add(source.block(number, frames=1))
+        held.append(window.frames)
+    full = held[window.length :]
+    assert blocks <= window.least == min(full)
+    assert max(full) <= max(blocks, 10 * -(-blocks // 9) - 1)

@@ -101,6 +101,20 @@ class RenameBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     ]
 
 
+class PictureBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings of live pictures."""
+
+    frames: Annotated[
+        int,
+        msgspec.Meta(
+            ge=0,
+            le=10_000_000,
+            description="Number of frames behind each picture at least, rounded up to a multiple "
+            "of those from one picture to the next. 0 means as many as when the daemon started.",
+        ),
+    ] = 0
+
+
 class CalibrateBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of the captures of a calibration."""
 
@@ -207,6 +221,11 @@ def _stop(service: Service, _: None) -> dict[str, Any]:
     return {"state": service.acquisition.snapshot.state}
 
 
+def _picture(service: Service, body: PictureBody) -> dict[str, Any]:
+    frames, number = service.expose(body.frames)
+    return {"frames": frames, "number": number}
+
+
 def _record(service: Service, body: RecordBody) -> dict[str, Any]:
     limits = (body.until_depth_std, body.until_reflectance_std)
     until = None
@@ -300,6 +319,16 @@ OPERATIONS: tuple[Operation, ...] = (
         "State before the run has ended.",
         _stop,
         conflicts=True,
+    ),
+    Operation(
+        "POST",
+        "/api/picture",
+        "picture",
+        "Begin a live picture anew, of photons that come from now on",
+        "Number of frames that each picture has at least, and number of the latest picture that "
+        "may hold older photons.",
+        _picture,
+        body=PictureBody,
     ),
     Operation(
         "POST",

@@ -49,10 +49,32 @@ def set_thread_priority(priority: ThreadPriority, /) -> str:
     if priority.real_time and _schedule("SCHED_RR", priority.real_time):
         return "real time"
     _schedule("SCHED_OTHER", 0)  # a thread begun by one in real time is in real time
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), priority.niceness)
+    if set_niceness(threading.get_native_id(), priority):
         return f"niceness {priority.niceness}"
     return "ordinary"
+
+
+def set_niceness(number: int, priority: ThreadPriority, /) -> bool:
+    """Set the niceness of a process or of one thread.
+
+    Parameters
+    ----------
+    number : int
+        Its number in the system.
+    priority : ThreadPriority
+        What it does.
+
+    Returns
+    -------
+    bool
+        Whether the system knows niceness and allowed it.
+    """
+    if not hasattr(os, "setpriority"):  # Windows
+        return False
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, number, priority.niceness)
+        return True
+    return False
 
 
 def _schedule(policy: str, priority: int) -> bool:

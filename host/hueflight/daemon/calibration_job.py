@@ -20,7 +20,7 @@ import structlog
 
 from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.acquisition.runner import Acquisition
-from hueflight.acquisition.thread_priority import ThreadPriority
+from hueflight.acquisition.thread_priority import ThreadPriority, set_niceness
 from hueflight.calibration import Calibration
 from hueflight.daemon.recordings_folder import timestamp_name
 from hueflight.devices.illumination import CaptureKind
@@ -339,7 +339,7 @@ class CalibrationJob:
         )
         if self._cancelled.is_set():  # meanwhile
             self._process.terminate()
-        os.setpriority(os.PRIO_PROCESS, self._process.pid, ThreadPriority.CALIBRATION.niceness)
+        set_niceness(self._process.pid, ThreadPriority.CALIBRATION)
         output, errors = self._process.communicate(timeout=_WORK_TIMEOUT_S)
         self._check_cancelled()
         if self._process.returncode:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from hueflight.errors import OutputError, OutputExistsError
 from hueflight.files.checksums import CHECKSUM_LIST
+from hueflight.files.descriptors import sync_folder
 
 FULL_DISK_BYTES = 1 << 20  #: a disk with less free space than this counts as full
 DISCARD_TRIES = 50  #: one every 20 ms: a second in all
@@ -190,9 +191,10 @@ def _sync(path: Path, *, entries: bool = True) -> None:
     if path.is_dir() and entries:
         for entry in path.iterdir():
             _sync(entry)
-    if os.name == "nt" and path.is_dir():
-        return  # folders can't be opened there
-    handle = os.open(path, os.O_RDONLY)
+    if path.is_dir():
+        sync_folder(path)
+        return
+    handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Header, MessageIndex, Metadata
 
 from hueflight.errors import InstrumentError, RecordingError, RecordingNotFoundError
+from hueflight.files.descriptors import open_to_read, read_at
 from hueflight.ingest.buffer import PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels, choose
 from hueflight.model.instrument import Instrument, Sensor
@@ -295,7 +296,7 @@ class _Disk:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._fd = os.open(path, os.O_RDONLY)
+            self._fd = open_to_read(path)
         except OSError as error:
             raise RecordingError(f"can't read {path}: {error.strerror or error}") from None
         self.size = os.fstat(self._fd).st_size
@@ -309,13 +310,13 @@ class _Disk:
     def read(self, at: int, size: int) -> bytes:
         """Bytes of the file; fewer at its end."""
         with suppress(OSError):
-            return os.pread(self._fd, size, at)
+            return read_at(self._fd, size, at)
         borders = range(at - at % SECTOR_BYTES + SECTOR_BYTES, at + size, SECTOR_BYTES)
         return b"".join(self._read_sector(a, b) for a, b in pairwise([at, *borders, at + size]))
 
     def _read_sector(self, start: int, stop: int) -> bytes:
         try:
-            return os.pread(self._fd, stop - start, start)
+            return read_at(self._fd, stop - start, start)
         except OSError:
             return bytes(stop - start)
 

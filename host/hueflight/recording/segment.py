@@ -21,6 +21,7 @@ from mcap.records import (
     Statistics,
 )
 
+from hueflight.files.descriptors import BINARY, sync_folder
 from hueflight.recording.layout import (
     CHANNEL,
     CLOSING,
@@ -90,7 +91,7 @@ class Segment:
         self._attached: list[AttachmentIndex] = []
         self._chunks: list[ChunkIndex] = []
         self._index: list[tuple[int, ...]] = []
-        self._fd = os.open(part_path(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._fd = os.open(part_path(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY, 0o644)
         try:
             self._append([MAGIC, encode(Header(PROFILE, f"hueflight-{description.format}"))])
             self._attach(INSTRUMENT, JSON, instrument_json.encode())
@@ -193,7 +194,7 @@ class Segment:
         self._append([summary])
         self.settle()
         part_path(self.path).replace(self.path)
-        _sync_folder(self.path.parent)
+        sync_folder(self.path.parent)
 
     def abandon(self) -> None:
         """Close the file as it is, with the whole records written so far."""
@@ -230,12 +231,3 @@ class Segment:
             raise
         self.size = start + sum(len(part) for part in parts)
         return start
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a new name in a folder survive a power cut."""
-    fd = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

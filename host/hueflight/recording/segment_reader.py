@@ -13,6 +13,7 @@ from mcap.records import Attachment, AttachmentIndex
 from numpy.typing import NDArray
 
 from hueflight.errors import RecordingError
+from hueflight.files.descriptors import open_to_read, read_into
 from hueflight.recording.layout import (
     CLOSING,
     DESCRIPTION,
@@ -56,7 +57,7 @@ class SegmentReader:
         self.path = path
         self._fd = -1
         try:
-            self._fd = os.open(path, os.O_RDONLY)
+            self._fd = open_to_read(path)
             self.size = os.fstat(self._fd).st_size
             self._attached = {each.name: each for each in read_summary(self.read, self.size)}
             self.description = self._document(DESCRIPTION, Description)
@@ -105,7 +106,7 @@ class SegmentReader:
         done = 0
         while done < len(space):
             try:
-                got = os.preadv(self._fd, [space[done:]], offset + done)
+                got = read_into(self._fd, space[done:], offset + done)
             except OSError as error:
                 raise RecordingError(
                     f"can't read {self.path} at byte {offset + done}: {error.strerror or error}"

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.color import color_picture
-from hueflight.daemon.http.page_files import page_files
+from hueflight.daemon.page_files import page_files
 from hueflight.errors import HueflightError
 from hueflight.files.image_schema import SERIES_DIM, require_image
 from hueflight.model.histograms import check_histogram

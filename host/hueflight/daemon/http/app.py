@@ -27,7 +27,7 @@ from hueflight.daemon.http.live_socket import Hub
 from hueflight.daemon.http.metrics import make_registry, render
 from hueflight.daemon.http.openapi import describe
 from hueflight.daemon.http.operations import OPERATIONS, Named, Operation
-from hueflight.daemon.http.page_files import page_routes
+from hueflight.daemon.http.page_routes import page_routes
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.http.roles import SESSION_PATH
 from hueflight.daemon.picture import Picture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hueflight.color.colormap import colours
-from hueflight.daemon.http.page_files import COLORMAP_FILE, page_files
+from hueflight.daemon.page_files import COLORMAP_FILE, page_files
 
 IMPORT = re.compile(r'from "\./([^"]+)"')
 

@@ -6,9 +6,6 @@ from __future__ import annotations
 from importlib import resources
 
 import numpy as np
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import BaseRoute, Route
 
 from hueflight.color.colormap import colours
 
@@ -24,7 +21,7 @@ COLORMAP_FILE = "colormap.js"
 def page_files() -> dict[str, bytes]:
     """Return the page's files by name, those that are generated included."""
     folder = resources.files("hueflight.daemon") / "page"
-    found = {entry.name: entry.read_bytes() for entry in folder.iterdir() if _suffix(entry.name)}
+    found = {entry.name: entry.read_bytes() for entry in folder.iterdir() if media_type(entry.name)}
     found[COLORMAP_FILE] = colormap_module().encode()
     return found
 
@@ -38,21 +35,6 @@ def colormap_module() -> str:
     )
 
 
-def page_routes() -> list[BaseRoute]:
-    """Return a route for each file of the page."""
-    return [_route(name, content) for name, content in page_files().items()]
-
-
-def _route(name: str, content: bytes) -> Route:
-    media_type = MEDIA_TYPES[_suffix(name)]
-
-    async def handler(_: Request) -> Response:
-        return Response(content, media_type=media_type, headers={"cache-control": "no-cache"})
-
-    return Route("/" if name == "index.html" else f"/{name}", handler, methods=["GET"])
-
-
-def _suffix(name: str) -> str:
-    """Extension of a file that the page consists of, empty for any other file."""
-    suffix = "." + name.rpartition(".")[2]
-    return suffix if suffix in MEDIA_TYPES else ""
+def media_type(name: str, /) -> str:
+    """Media type of a file that the page consists of, empty for any other file."""
+    return MEDIA_TYPES.get("." + name.rpartition(".")[2], "")

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled kernels; everything else about the distribution is in pyproject.toml."""
 
+import os
 from pathlib import Path
-from platform import machine
+from sysconfig import get_platform
 
 from setuptools import Extension, setup
 
 PACKAGES = Path("host/hueflight")
 SHARED = PACKAGES / "backend" / "_c"  # headers of several kernels
+#: without a compiler the NumPy definitions are used, except where a release is built
+OPTIONAL = not os.environ.get("HUEFLIGHT_REQUIRE_KERNELS")
 NO_ERRNO = "-fno-math-errno"  # roots and logarithms need not set errno
 
 
@@ -22,14 +25,14 @@ def kernels(package: str, *, name: str = "_kernels", flags: tuple[str, ...] = ()
         include_dirs=[str(SHARED)],
         extra_compile_args=["-O3", *flags],
         py_limited_api=True,
-        optional=True,  # without a compiler the NumPy definitions are used
+        optional=OPTIONAL,
         **options,
     )
 
 
 # The joint fit is built for three vector widths; the widest that the processor supports is loaded.
 FIT_BUILDS: dict[str, tuple[str, list[str]]] = {"_kernels": ("4", [])}
-if machine() in {"x86_64", "AMD64"}:
+if get_platform().endswith(("x86_64", "amd64")):  # what is built for, also by a cross compiler
     FIT_BUILDS["_kernels_v3"] = ("8", ["-march=x86-64-v3"])
     FIT_BUILDS["_kernels_v4"] = ("16", ["-march=x86-64-v4", "-mprefer-vector-width=512"])
 

@@ -6,6 +6,7 @@
     python3 tools/dev.py test [--full]   lint, format, types, tests; --full adds the slow ones
     python3 tools/dev.py bench NAME      a benchmark of tools/bench
     python3 tools/dev.py faults          runs of the daemon with faults at random
+    python3 tools/dev.py packages        the source archive and wheels of a release
     python3 tools/dev.py run ARG...      any command inside the environment
 
 Only the standard library is used here. The environment is made once in `.venv` and again
@@ -95,6 +96,10 @@ def bench(arguments: list[str]) -> None:
     run([str(BIN / "python"), str(scripts[arguments[0]]), *arguments[1:]])
 
 
+def packages(arguments: list[str]) -> None:
+    run([str(BIN / "python"), str(ROOT / "tools" / "packages.py"), *arguments])
+
+
 def run_inside(arguments: list[str]) -> None:
     if not arguments:
         raise SystemExit("run what? e.g. python3 tools/dev.py run hueflight --help")
@@ -106,7 +111,14 @@ def faults(arguments: list[str]) -> None:
     run([str(BIN / "python"), str(ROOT / "tools" / "fault_runs.py"), *arguments])
 
 
-COMMANDS = {"demo": demo, "test": test, "bench": bench, "faults": faults, "run": run_inside}
+COMMANDS = {
+    "demo": demo,
+    "test": test,
+    "bench": bench,
+    "faults": faults,
+    "packages": packages,
+    "run": run_inside,
+}
 
 
 def main() -> None:

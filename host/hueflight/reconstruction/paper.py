@@ -4,8 +4,9 @@
 It is kept as published: equation (2) subtracts no background. It is the baseline that better
 estimators are compared with. Two things are added. The loss of later photons of an exposure, which
 makes bright pixels seem darker than they are, is undone unless asked otherwise. Pixels that show no
-surface, or one at the end of the searched range, are flagged. Where counts are whole numbers,
-`paper_kernel` computes the same faster.
+surface, or one at the end of the searched range, are flagged. Deviations contain the systematic
+error of the correlation (`correlation_bias`). Where counts are whole numbers, `paper_kernel`
+computes the same faster.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from hueflight.calibration import Calibration, window_sums
 from hueflight.fit.correlation import correlate, peak_centroid
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
+from hueflight.reconstruction.correlation_bias import background_share, correlation_bias
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions
@@ -72,10 +74,15 @@ def estimate(
         # hot pixels would have the whole picture corrected, which is slow
         rates = np.where(usable, rates, 0.0)
     light = coates_correction(light, rates)
-    measured = _measured(light.reshape(rows * cols, count), pixels, known, calibration)
+    flat = light.reshape(rows * cols, count)
+    measured = _measured(flat, pixels, known, calibration)
     kept = chosen.ravel()[pixels]
     delay_bins[chosen] = measured.delay[kept]
-    delay_std[chosen] = measured.deviation[kept]
+    share = background_share(
+        flat, pixels[kept], measured.sums[kept], known.ravel()[pixels][kept], calibration
+    )
+    systematic = correlation_bias(measured.delay[kept], share, calibration, search_of(calibration))
+    delay_std[chosen] = np.hypot(measured.deviation[kept], systematic)
     sums[:, chosen] = measured.sums[kept].T
     background.ravel()[pixels] = measured.background
 

@@ -119,5 +119,7 @@ def _plain(pools: Pools, tables: Tables) -> NDArray[np.bool_]:
     share = np.float32(tables.mixing[:-1, -1].sum())
     total = np.maximum(inside + background, TINY)
     ratio = inside * np.log(np.maximum(inside, TINY) / (total * share))
-    ratio += background * np.log(np.maximum(background, TINY) / (total * (1 - share)))
+    # windows that touch leave no bins for the background
+    expected = np.maximum(total * (1 - share), TINY)
+    ratio += background * np.log(np.maximum(background, TINY) / expected)
     return (inside > total * share) & (2 * ratio * pools.pixels > PLAIN)

@@ -54,3 +54,15 @@ def test_notice_names_every_data_file_in_the_package():
     assert [name for name in data if name not in notice] == []
     named = re.findall(r"^- (\S+):", notice, re.MULTILINE)
     assert all((ROOT / name).exists() for name in named)
+
+
+def test_the_readme_says_what_every_extra_adds():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = readme[readme.index("| extra |") : readme.index("[Platforms]")]
+    named = re.findall(r"^\| `(\S+)` \| \w", table, re.MULTILINE)
+    assert sorted(named) == sorted(PROJECT["optional-dependencies"])
+
+
+def test_the_changelog_has_a_section_for_the_version():
+    sections = re.findall(r"^## ([0-9.]+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert PROJECT["version"] in sections

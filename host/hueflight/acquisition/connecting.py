@@ -90,7 +90,7 @@ def _connect(session: Session) -> bool:
         _close_gap(session, rig)
         if rig.camera.running():
             rig.camera.stop(abort=True)
-        settings = rig.camera.configure(session.instrument)
+        session.configure(rig)
     except DeviceError as error:
         rig.close()
         session.report_problem(str(error))
@@ -104,7 +104,7 @@ def _connect(session: Session) -> bool:
         {
             "serial": identity.serial,
             "place": identity.place,
-            "frame_rate_hz": round(settings.rate_hz, 1),
+            "frame_rate_hz": round(session.rate_hz or 0.0, 1),
         },
     )
     return True

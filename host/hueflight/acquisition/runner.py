@@ -23,6 +23,7 @@ from hueflight.acquisition.starting import begin_next
 from hueflight.acquisition.states import State, follow
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
+from hueflight.devices.camera_controls import CameraControls
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.rig import Connect
 from hueflight.errors import HueflightError
@@ -126,6 +127,24 @@ class Acquisition:
             The live run, None to stay idle.
         """
         self._session.live = plan
+
+    def set_controls(self, controls: CameraControls, settings: RunSettings, /) -> None:
+        """Change frame rate, pixels or codes from the next run on; a live run begins again.
+
+        Parameters
+        ----------
+        controls : CameraControls
+            What the camera is to do.
+        settings : RunSettings
+            Sizes of blocks and queues at that frame rate.
+        """
+        self.settings = settings
+        self._session.settings_wanted, self._session.controls = settings, controls
+
+    @property
+    def controls(self) -> CameraControls:
+        """What the camera is to do from the next run on."""
+        return self._session.controls
 
     def stop(self) -> None:
         """End the present run as soon as its stream is read; a live run begins again."""

@@ -19,6 +19,7 @@ from hueflight.acquisition.run import Run
 from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.snapshot import LiveBlock, Snapshot
 from hueflight.acquisition.states import State
+from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.rig import Connect, Rig
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.stream import Block
@@ -81,11 +82,13 @@ class Session:
         self.on_block, self.on_event = on_block, on_event
         # set from other threads
         self.live = live
+        self.controls, self.settings_wanted = CameraControls(), settings
         self.end_requested = False
         self.requests: queue.SimpleQueue[tuple[RunPlan, Future[RunResult]]] = queue.SimpleQueue()
         self._returned: queue.SimpleQueue[Block] = queue.SimpleQueue()
         # of the acquisition thread
         self.rig: Rig | None = None
+        self.applied: CameraControls | None = None  # None: not yet to the present rig
         self.run: Run | None = None
         self.future: Future[RunResult] | None = None
         self.recorder: Recorder | None = None
@@ -97,6 +100,8 @@ class Session:
         self.last_data_s: float | None = None
         self.kept_alive_s = 0.0
         self.connections = 0
+        self.rate_hz: float | None = None
+        self.timing: CameraTiming | None = None
         self.failed = False
         self.label = int(time.time()) & Capture.VALUE_MAX
         self.snapshot = Snapshot(problem="looking for the camera")
@@ -128,6 +133,8 @@ class Session:
             True if it was asked to end, has reached its end, or must make way for another.
         """
         if run.plan.live and (not self.requests.empty() or self.live != run.plan):
+            return True
+        if run.plan.live and self.applied != self.controls:
             return True
         return self.end_requested or run.reached_its_end(now)
 
@@ -174,6 +181,26 @@ class Session:
             return
         returned = self._returned
         self.on_block(LiveBlock(block, now, run.plan.kind, run.label, lambda: returned.put(block)))
+
+    # -- the camera's settings ----------------------------------------------------------------
+
+    def configure(self, rig: Rig) -> None:
+        """Set the camera up as the controls say; between runs only.
+
+        Parameters
+        ----------
+        rig : Rig
+            Rig whose camera is set up.
+
+        Raises
+        ------
+        DeviceError
+            If the camera can't do it, or is gone.
+        """
+        controls, settings = self.controls, self.settings_wanted
+        self.timing = rig.camera.timing
+        self.rate_hz = rig.camera.configure(self.instrument, controls).rate_hz
+        self.applied, self.settings = controls, settings
 
     # -- gaps ---------------------------------------------------------------------------------
 
@@ -280,6 +307,8 @@ class Session:
             stream=rig.camera.statistics if rig is not None else StreamStatistics(),
             gaps=tuple(self.gaps),
             connections=self.connections,
+            rate_hz=self.rate_hz,
+            timing=self.timing,
         )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from hueflight.acquisition.frame_accounting import RunTotals
 from hueflight.acquisition.plan import Gap
+from hueflight.devices.camera_controls import CameraTiming
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.stream import Block
 
@@ -82,6 +83,10 @@ class Snapshot:
         The latest gaps.
     connections : int
         How many times a rig was opened.
+    rate_hz : float or None
+        Frames per second that the camera was set to, None before the first connection.
+    timing : CameraTiming or None
+        Limits of the camera's frame rate, None before the first connection.
     """
 
     state: str = "disconnected"
@@ -105,3 +110,5 @@ class Snapshot:
     stream: StreamStatistics = field(default_factory=StreamStatistics)
     gaps: tuple[Gap, ...] = ()
     connections: int = 0
+    rate_hz: float | None = None
+    timing: CameraTiming | None = None

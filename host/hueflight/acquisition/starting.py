@@ -106,6 +106,8 @@ def _try_to_begin(
 
 
 def _begin(session: Session, rig: Rig, plan: RunPlan, future: Future[RunResult] | None) -> None:
+    if session.applied != session.controls:
+        session.configure(rig)
     rig.illumination.prepare(plan.kind, plan.frames)
     if plan.path is not None:
         about = {"capture": plan.kind, "simulated": str(rig.simulated).lower()}

@@ -168,6 +168,11 @@ class CalibrationJob:
             raise CaptureError("a calibration is in progress: wait until it is done, or cancel it")
         try:
             self._check_free()
+            if self._acquisition.controls.leaves_out:
+                raise CaptureError(
+                    "the camera leaves out pixels or codes, of which nothing could be calibrated: "
+                    "reset rows, cols, gate and masked first (POST /api/controls)"
+                )
         except CaptureError:
             self._busy.release()
             raise

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -39,6 +40,8 @@ class RecordingJob:
     calibration_name : callable
         Returns the name of the calibration in use, which is noted in each recording; empty if there
         is none.
+    controls : callable
+        Returns the controls of the camera, which are noted in each recording.
     on_ended : callable
         Called with name and summary of each recording that has ended.
     check_free : callable
@@ -59,6 +62,7 @@ class RecordingJob:
         daemon_name: str,
         calibration: Callable[[], Calibration | None],
         calibration_name: Callable[[], str] = lambda: "",
+        controls: Callable[[], dict[str, Any]] = dict,
         on_ended: Callable[[str, dict[str, Any]], None] = lambda _, __: None,
         check_free: Callable[[], None] = lambda: None,
     ) -> None:
@@ -66,6 +70,7 @@ class RecordingJob:
         self._folder = folder
         self._daemon_name = daemon_name
         self._calibration, self._calibration_name = calibration, calibration_name
+        self._controls = controls
         self._on_ended = on_ended
         self._check_free = check_free
         self._lock = threading.Lock()
@@ -130,7 +135,11 @@ class RecordingJob:
                 )
             name = name or timestamp_name()
             path = self._folder.new_path(name)
-            stated = {"note": note, "calibration": self._calibration_name()}
+            stated = {
+                "note": note,
+                "calibration": self._calibration_name(),
+                "controls": json.dumps(self._controls()),
+            }
             metadata = {"daemon": self._daemon_name} | {k: v for k, v in stated.items() if v}
             stop = (
                 None if until is None or calibration is None else PrecisionStop(until, calibration)

@@ -7,6 +7,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import structlog
@@ -31,7 +32,9 @@ from hueflight.daemon.recording_job import RecordingJob
 from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.daemon.status import (
     calibration_status,
+    describe_controls,
     describe_instrument,
+    describe_limits,
     picture_status,
     recording_status,
     run_status,
@@ -102,23 +105,11 @@ class Service:
         self.live_color = LiveColor(instrument)
         self.viewers = 0
         self._started_s = time.monotonic()
-        settings = RunSettings.of(
-            instrument,
-            pictures_hz=config.pictures_hz or None,
-            picture_frames=config.picture_frames or None,
-        )
-        self.settings = RunSettings(
-            settings.rate_hz,
-            settings.block_frames,
-            settings.window_blocks,
-            threads=config.threads,
-            recorder_queue_bytes=config.recording.queue_mb << 20,
-            min_free_bytes=config.recording.min_free_mb << 20,
-        )
+        self.settings = run_settings(config, instrument)
         self.pictures = Pictures(
             instrument,
             method=config.method,
-            window_blocks=settings.window_blocks,
+            window_blocks=self.settings.window_blocks,
             change_sigma=config.change_sigma,
             threads=config.picture_threads or os.cpu_count() or 1,
             on_picture=on_picture,
@@ -138,6 +129,7 @@ class Service:
             daemon_name=config.name,
             calibration=lambda: self.pictures.calibration,
             calibration_name=lambda: self.calibration_job.name,
+            controls=lambda: describe_controls(self.acquisition.controls),
             on_ended=self.finisher.finish,
             check_free=lambda: self.calibration_job.check_idle(),
         )
@@ -204,6 +196,40 @@ class Service:
         self.calibration_job.check_idle()
         self.acquisition.set_live(None)
         self.acquisition.stop()
+
+    def controls(self) -> dict[str, Any]:
+        """Return what of the camera may be changed, as it is, and the limits."""
+        snapshot = self.acquisition.snapshot
+        return (
+            describe_controls(self.acquisition.controls)
+            | {"actual_rate_hz": snapshot.rate_hz}
+            | {"limits": describe_limits(self.instrument, snapshot.timing)}
+        )
+
+    def set_controls(self, **changes: Any) -> None:
+        """Change frame rate, pixels or codes of the camera; the live run begins again.
+
+        Parameters
+        ----------
+        **changes : Any
+            Attributes of `CameraControls` that are to change.
+
+        Raises
+        ------
+        CaptureError
+            If a recording or a calibration is in progress.
+        DeviceError
+            If a value is out of its range.
+        """
+        with self.recording_job.keep_off():
+            self.recording_job.check_idle()
+            self.calibration_job.check_idle()
+            controls = replace(self.acquisition.controls, **changes)
+            controls.check(self.instrument, self.acquisition.snapshot.timing)
+            self.settings = run_settings(self.config, controls.instrument(self.instrument))
+            self.pictures.begin_anew(BlockWindow(self.settings.window_blocks))
+            self.acquisition.set_controls(controls, self.settings)
+        log.info("controls changed", **describe_controls(controls))
 
     def rename_recording(self, name: str, new_name: str, /) -> None:
         """Give a recording another name.
@@ -332,6 +358,34 @@ class Service:
         self.pictures.close()
         self.finisher.close()
         self.disk.close()
+
+
+def run_settings(config: DaemonConfig, instrument: Instrument, /) -> RunSettings:
+    """Return how streams are cut into pictures, at an instrument's frame rate.
+
+    Parameters
+    ----------
+    config : DaemonConfig
+        Pictures per second, frames behind each, and limits of queues.
+    instrument : Instrument
+        States the frame rate.
+
+    Returns
+    -------
+    RunSettings
+        The settings.
+    """
+    found = RunSettings.of(
+        instrument,
+        pictures_hz=config.pictures_hz or None,
+        picture_frames=config.picture_frames or None,
+    )
+    return replace(
+        found,
+        threads=config.threads,
+        recorder_queue_bytes=config.recording.queue_mb << 20,
+        min_free_bytes=config.recording.min_free_mb << 20,
+    )
 
 
 def _part(thread: SupervisedThread, /, *, problem: str = "") -> dict[str, Any]:

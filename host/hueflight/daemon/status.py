@@ -11,6 +11,7 @@ from hueflight.acquisition.snapshot import Snapshot
 from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.pictures import Pictures
 from hueflight.daemon.recording_job import RecordingJob
+from hueflight.devices.camera_controls import MIN_RATE_HZ, CameraControls, CameraTiming
 from hueflight.devices.illumination import GUIDANCE
 from hueflight.model.instrument import Instrument
 
@@ -89,6 +90,23 @@ def recording_status(job: RecordingJob, snapshot: Snapshot, /) -> dict[str, Any]
         "failure": snapshot.recording_failure,
         "paused": snapshot.recording_paused,
         "last": job.last,
+    }
+
+
+def describe_controls(controls: CameraControls, /) -> dict[str, Any]:
+    """Return what of the camera may be changed, as JSON holds it."""
+    return asdict(controls) | {"leaves_out": controls.leaves_out}
+
+
+def describe_limits(instrument: Instrument, timing: CameraTiming | None, /) -> dict[str, Any]:
+    """Return the limits of the controls; the highest rate is None while no camera was there."""
+    sensor = instrument.sensor
+    most = None if timing is None else timing.max_rate_hz(instrument)
+    return {
+        "rate_hz": [MIN_RATE_HZ, most],
+        "rows": [0, sensor.rows - 1],
+        "cols": [0, sensor.cols - 1],
+        "gate": [0, sensor.codes - 1],
     }
 
 

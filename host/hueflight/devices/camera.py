@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.devices.board import Board, BoardIdentity
+from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import DeviceError, WrongDeviceError
 from hueflight.devices.transports.interface import Transport
@@ -23,6 +24,8 @@ from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
 MAX_BYTES_PER_S = 400e6  #: what USB 3 carries in practice
 TRANSFER_S = 0.004  #: a transfer holds about this much of the stream
 MIN_TRANSFER_BYTES, MAX_TRANSFER_BYTES = 1 << 14, 1 << 20
+
+DEFAULT_CONTROLS = CameraControls()
 
 OpenStream = Callable[[int], Stream]
 """Opens the packet stream with transfers of about so many bytes."""
@@ -136,13 +139,26 @@ class Camera:
                 f"{sensor.cols} of {sensor.code_bits}: choose the instrument that describes it"
             )
 
-    def configure(self, instrument: Instrument) -> CameraSettings:
+    @property
+    def timing(self) -> CameraTiming:
+        """What the camera's build says about its frame rates."""
+        return CameraTiming(
+            clock_hz=self.identity.clock_hz,
+            lanes=max(1, self.lanes),
+            can_overlap=bool(self.board.read(registers.Features).overlap),
+        )
+
+    def configure(
+        self, instrument: Instrument, controls: CameraControls = DEFAULT_CONTROLS, /
+    ) -> CameraSettings:
         """Set period, exposure and frame rate as an instrument states them, before a run.
 
         Parameters
         ----------
         instrument : Instrument
             Instrument that describes this camera.
+        controls : CameraControls, optional
+            Frame rate, pixels and codes if they are not those of the instrument.
 
         Returns
         -------
@@ -155,18 +171,32 @@ class Camera:
             If the instrument describes another sensor, or asks for what the camera can't do.
         """
         self.require(instrument)
-        settings = CameraSettings.of(
-            instrument,
-            clock_hz=self.identity.clock_hz,
-            lanes=max(1, self.lanes),
-            can_overlap=bool(self.board.read(registers.Features).overlap),
-        )
+        settings = self.timing.settings(controls.instrument(instrument))
         self.board.write(registers.Period(settings.period_clocks))
         self.board.write(registers.Exposure(settings.exposure_periods))
         self.board.write(registers.Gap(settings.gap_clocks))
         self.board.write(registers.Readout(settings.overlap))
         self.board.write(registers.StatusInterval(settings.status_interval))
+        self._leave_out(instrument, controls)
         return settings
+
+    def _leave_out(self, instrument: Instrument, controls: CameraControls) -> None:
+        """Set mask, region and time gate."""
+        if controls.masked:
+            self.mask(controls.mask(instrument.sensor))
+        write = self.board.write
+        rows, cols = controls.rows or (0, self.rows - 1), controls.cols or (0, self.cols - 1)
+        gate = controls.gate or (0, instrument.sensor.codes - 1)
+        write(registers.RoiRows(first=rows[0], last=rows[1]))
+        write(registers.RoiCols(first=cols[0], last=cols[1]))
+        write(registers.Gate(first=gate[0], last=gate[1]))
+        write(
+            registers.Filters(
+                mask=int(bool(controls.masked)),
+                roi=int(bool(controls.rows or controls.cols)),
+                gate=int(bool(controls.gate)),
+            )
+        )
 
     def mask(self, pixels: NDArray[np.bool_], /) -> None:
         """Choose the pixels of which the camera sends nothing, such as hot ones.

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from hueflight.emulation.frame_bank import FrameBank
+from hueflight.emulation.frame_filter import FrameFilter
 from hueflight.model.instrument import Sensor
 from hueflight_protocol import (
     Event,
@@ -111,6 +112,7 @@ class CameraModel:
         self._started_s = 0.0
         self._frame = self._dropped = self._sent_whole = self._peak = self._sequence = 0
         self._running = False
+        self._filter: FrameFilter | None = None
         self.sent = Sent()
 
     # -- control ------------------------------------------------------------------------------
@@ -165,6 +167,7 @@ class CameraModel:
         if self._running:
             self._stop()
         self._running = True
+        self._filter = FrameFilter.of(self.registers)
         self._started_s = self._now_s()
         self._frame = self._dropped = self._sent_whole = self._peak = 0
         self._event(EventCode.RUN_STARTED, self._capture)
@@ -217,6 +220,8 @@ class CameraModel:
 
     def _expose(self, frame_s: float) -> None:
         template = self.bank.template(self._frame)
+        if self._filter is not None:
+            template = self._filter.apply(template)
         if self._waiting_bytes + len(template) > self._buffer_bytes:
             self._dropped += 1
             self.sent = Sent(self.sent.frames + 1, self.sent.dropped + 1, self.sent.packets)

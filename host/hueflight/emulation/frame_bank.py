@@ -35,9 +35,10 @@ class Template:
         A complete frame packet.
     """
 
-    __slots__ = ("_body", "_check", "_packet")
+    __slots__ = ("_check", "_packet", "filtered")
 
     def __init__(self, packet: bytes) -> None:
+        self.filtered: tuple[object, Template] | None = None  #: by which filter, and the result
         self._packet = bytearray(packet)
         for at, size in ((_SEQUENCE_AT, 20), (_DROPPED_AT, 4), (_CAPTURE_AT, 8), (_CHECK_AT, 4)):
             self._packet[at : at + size] = bytes(size)

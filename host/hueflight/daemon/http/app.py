@@ -36,6 +36,7 @@ from hueflight.daemon.recordings_folder import RecordingMissingError, RecordingN
 from hueflight.daemon.server_config import Tokens
 from hueflight.daemon.service import Service
 from hueflight.daemon.systemd import notify, watchdog_interval_s
+from hueflight.devices.errors import DeviceError
 from hueflight.devices.rig import Connect
 from hueflight.errors import HueflightError
 from hueflight.live.protocol import Coding
@@ -232,6 +233,8 @@ def _status_of(error: HueflightError) -> int:
         return 404
     if isinstance(error, RecordingNameError | CaptureError):
         return 409
+    if isinstance(error, DeviceError):
+        return 422  # what the camera can't do
     return 500
 
 

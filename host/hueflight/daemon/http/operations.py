@@ -134,6 +134,28 @@ class CalibrateBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True)
     )
 
 
+_Unset = msgspec.UnsetType
+_Index = Annotated[int, msgspec.Meta(ge=0, le=65535)]
+Span = Annotated[
+    tuple[_Index, _Index], msgspec.Meta(description="The first and the last one that is sent.")
+]
+Pixels = Annotated[
+    tuple[tuple[_Index, _Index], ...],
+    msgspec.Meta(max_length=4096, description="Row and column of each pixel that is not sent."),
+]
+Rate = Annotated[float, msgspec.Meta(gt=0, le=1e6, description="Frames per second.")]
+
+
+class ControlsBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What of the camera is changed; null for the default, and nothing for no change."""
+
+    rate_hz: Rate | _Unset | None = msgspec.UNSET
+    rows: Span | _Unset | None = msgspec.UNSET
+    cols: Span | _Unset | None = msgspec.UNSET
+    gate: Span | _Unset | None = msgspec.UNSET
+    masked: Pixels | _Unset | None = msgspec.UNSET
+
+
 class PixelQuery(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Coordinates of a pixel."""
 
@@ -267,6 +289,22 @@ def _delete_recording(service: Service, named: Named) -> dict[str, Any]:
     return {"name": named.name}
 
 
+def _controls(service: Service, _: None) -> dict[str, Any]:
+    return service.controls()
+
+
+def _set_controls(service: Service, body: ControlsBody) -> dict[str, Any]:
+    changes = {
+        name: value
+        for name in body.__struct_fields__
+        if (value := getattr(body, name)) is not msgspec.UNSET
+    }
+    if changes.get("masked", ()) is None:
+        changes["masked"] = ()
+    service.set_controls(**changes)
+    return service.controls()
+
+
 def _calibrate(service: Service, body: CalibrateBody) -> dict[str, Any]:
     job = service.calibration_job
     job.begin(distance=body.distance, frames=body.frames, bands=body.bands, dark=body.dark)
@@ -377,6 +415,24 @@ OPERATIONS: tuple[Operation, ...] = (
         "End the recording in progress",
         "Name of the recording.",
         _stop_recording,
+        conflicts=True,
+    ),
+    Operation(
+        "GET",
+        "/api/controls",
+        "controls",
+        "Get what of the camera may be changed",
+        "Frame rate, region, time gate and masked pixels as they are, and their limits.",
+        _controls,
+    ),
+    Operation(
+        "POST",
+        "/api/controls",
+        "set_controls",
+        "Change frame rate, region, time gate or masked pixels; the live run begins again",
+        "Controls as they are now.",
+        _set_controls,
+        body=ControlsBody,
         conflicts=True,
     ),
     Operation(

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a camera may be changed between runs: frame rate, and the pixels and codes it sends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.devices.camera_settings import CameraSettings
+from hueflight.devices.errors import DeviceError
+from hueflight.model.instrument import Instrument, Sensor
+
+Span = tuple[int, int]
+MIN_RATE_HZ = 0.1
+
+
+@dataclass(frozen=True)
+class CameraTiming:
+    """What a camera's build says about its frame rates.
+
+    Attributes
+    ----------
+    clock_hz : int
+        Frequency of the camera's clock, in hertz.
+    lanes : int
+        Number of pixels that the camera reads in one clock.
+    can_overlap : bool
+        True if the camera can read out one frame while it exposes the next.
+    """
+
+    clock_hz: int
+    lanes: int
+    can_overlap: bool
+
+    def settings(self, instrument: Instrument, /) -> CameraSettings:
+        """Return the settings that give an instrument's period, exposure and frame rate.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument.
+
+        Returns
+        -------
+        CameraSettings
+            The settings.
+
+        Raises
+        ------
+        WrongDeviceError
+            If the camera can't do what the instrument states.
+        """
+        return CameraSettings.of(
+            instrument, clock_hz=self.clock_hz, lanes=self.lanes, can_overlap=self.can_overlap
+        )
+
+    def max_rate_hz(self, instrument: Instrument, /) -> float:
+        """Return the highest frame rate at the exposure time of an instrument.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument.
+
+        Returns
+        -------
+        float
+            Frames per second.
+        """
+        sensor = instrument.sensor
+        found = self.settings(_with_rate(instrument, None))
+        exposed = found.exposure_periods * found.period_clocks
+        readout = -(-sensor.rows * sensor.cols // self.lanes)
+        taken = max(exposed, readout) if self.can_overlap else exposed + readout
+        return self.clock_hz / taken
+
+
+@dataclass(frozen=True)
+class CameraControls:
+    """What of a camera may be changed between runs.
+
+    What is left out is not sent: its pixels have no photons. A calibration remains valid, because
+    exposures stay the same.
+
+    Attributes
+    ----------
+    rate_hz : float or None
+        Frames per second; None for those of the instrument.
+    rows, cols : tuple of int or None
+        First and last row and column of the region that is sent; None for all.
+    gate : tuple of int or None
+        First and last code that is sent; None for all.
+    masked : tuple of (row, col)
+        Pixels that are not sent, such as hot ones.
+    """
+
+    rate_hz: float | None = None
+    rows: Span | None = None
+    cols: Span | None = None
+    gate: Span | None = None
+    masked: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def leaves_out(self) -> bool:
+        """True if pixels or codes are not sent."""
+        return bool(self.rows or self.cols or self.gate or self.masked)
+
+    def check(self, instrument: Instrument, timing: CameraTiming | None, /) -> None:
+        """Refuse what an instrument's camera can't do.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument.
+        timing : CameraTiming or None
+            Limits of the camera's rate; None while there is no camera.
+
+        Raises
+        ------
+        DeviceError
+            If a number is out of its range, or the rate can't be had.
+        """
+        sensor = instrument.sensor
+        for name, span, size in (
+            ("rows", self.rows, sensor.rows),
+            ("cols", self.cols, sensor.cols),
+            ("gate", self.gate, sensor.codes),
+        ):
+            if span is not None and not 0 <= span[0] <= span[1] < size:
+                raise DeviceError(
+                    f"{name} = {list(span)}: must be the first and the last one, from 0 to "
+                    f"{size - 1}"
+                )
+        for row, col in self.masked:
+            if not (0 <= row < sensor.rows and 0 <= col < sensor.cols):
+                raise DeviceError(
+                    f"masked: pixel {row}, {col} lies outside the sensor of {sensor.rows} × "
+                    f"{sensor.cols} pixels"
+                )
+        if self.rate_hz is None:
+            return
+        if not self.rate_hz >= MIN_RATE_HZ:
+            raise DeviceError(f"rate_hz = {self.rate_hz}: must be at least {MIN_RATE_HZ}")
+        if timing is not None:
+            most = timing.max_rate_hz(instrument)
+            if self.rate_hz > most:
+                raise DeviceError(
+                    f"rate_hz = {self.rate_hz:g}: this camera takes at most {most:.6g} frames per "
+                    f"second at exposures of {sensor.exposure_ms or 1.0:g} ms"
+                )
+
+    def instrument(self, instrument: Instrument, /) -> Instrument:
+        """Return an instrument with the frame rate of these controls.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument without them.
+
+        Returns
+        -------
+        Instrument
+            The same, or a changed copy.
+        """
+        return instrument if self.rate_hz is None else _with_rate(instrument, self.rate_hz)
+
+    def mask(self, sensor: Sensor, /) -> NDArray[np.bool_]:
+        """Return the pixels that are masked, as an array.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            States the shape.
+
+        Returns
+        -------
+        ndarray of bool, shape (row, col)
+            True for pixels that are left out.
+        """
+        found = np.zeros((sensor.rows, sensor.cols), bool)
+        for row, col in self.masked:
+            found[row, col] = True
+        return found
+
+
+def _with_rate(instrument: Instrument, rate_hz: float | None) -> Instrument:
+    sensor = msgspec.structs.replace(instrument.sensor, frame_rate_hz=rate_hz)
+    return msgspec.structs.replace(instrument, sensor=sensor)

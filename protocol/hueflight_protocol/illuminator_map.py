@@ -18,6 +18,8 @@ MAX_LANES = 8
 MAX_PERIOD_TICKS = 4096
 MIN_PERIOD_CLOCKS = 8
 """Trains are at least this many clocks apart, whatever starts them."""
+MAX_FILTER_TICKS = 8
+"""Largest width of the filter of the trigger input."""
 _DELAY_BITS = 12
 
 
@@ -248,6 +250,20 @@ def _trigger(lanes: int) -> list[Register]:
                 Field("width", 12, "0 = no pulse", reset=8, unit="tick"),
             ),
             "trigger for a camera that follows",
+        ),
+        Register(
+            "trigger_filter",
+            0x024,
+            Access.RW,
+            (
+                Field(
+                    "width",
+                    4,
+                    f"0 = no filter; more than {MAX_FILTER_TICKS} acts as {MAX_FILTER_TICKS}",
+                    unit="tick",
+                ),
+            ),
+            "time without another change before and after an edge of the trigger that counts",
         ),
         Register("triggers_seen", 0x028, Access.RO, counter, "edges, saturating"),
         Register("triggers_served", 0x029, Access.RO, counter, "trains begun, saturating"),

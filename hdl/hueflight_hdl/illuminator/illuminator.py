@@ -239,6 +239,7 @@ class IlluminatorCore(wiring.Component):
             settings.period.eq(registers.trigger_period.value),
             settings.out_delay.eq(registers.trigger_out.delay),
             settings.out_width.eq(registers.trigger_out.width),
+            settings.filter.eq(registers.trigger_filter.width),
             settings.bank.eq(registers.bank_select.value),
             settings.by_frame.eq(sequencer.advance == Advance.FRAME_SYNC),
             settings.loop.eq(sequencer.loop),

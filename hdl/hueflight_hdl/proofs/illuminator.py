@@ -5,8 +5,12 @@ from __future__ import annotations
 
 from functools import partial
 
+from hueflight_protocol.illuminator_map import MAX_FILTER_TICKS
+
 from ..illuminator.pulse_generator.config import Limits
+from ..illuminator.pulse_generator.trigger_filter import filter_latency
 from .illuminator_banks import OtherBankHarness, TrainHarness
+from .illuminator_filter import FilterHarness
 from .illuminator_limits import DutyHarness, OnTimeHarness
 from .illuminator_requests import LONGEST, AnswerHarness
 from .illuminator_safety import DarkHarness, WatchdogHarness
@@ -45,6 +49,16 @@ PROOFS = (
             f"whatever the demand; {lanes} lanes.",
             partial(DutyHarness, Limits(), lanes=lanes),
             depth=8,
+        )
+        for lanes in LANES
+    ),
+    *(
+        Proof(
+            f"illuminator-filter-{lanes}",
+            "The filter of the trigger finds the first edge in each clock between levels that last "
+            f"for its width, and no other, at any input; {lanes} lanes.",
+            partial(FilterHarness, lanes),
+            depth=filter_latency(lanes) + MAX_FILTER_TICKS // lanes + 2,
         )
         for lanes in LANES
     ),

@@ -44,6 +44,8 @@ class Stimulus:
         Armed by default.
     restart, falling : bool
         Settings of the trigger.
+    filter_width : int
+        Width of the trigger's filter in ticks; 0 for none.
     """
 
     banks: tuple[Schedule, Schedule]
@@ -52,6 +54,7 @@ class Stimulus:
     armed: np.ndarray | None = None
     restart: bool = False
     falling: bool = False
+    filter_width: int = 0
 
 
 @dataclass(frozen=True)
@@ -75,11 +78,17 @@ def expected(config: PulseConfig, stimulus: Stimulus, /) -> Outcome:
     lanes = config.lanes
     ticks = len(stimulus.trigger)
     clocks = ticks // lanes
-    edges = find_edges(stimulus.trigger, lanes=lanes, falling=stimulus.falling)
+    edges = find_edges(
+        stimulus.trigger,
+        lanes=lanes,
+        falling=stimulus.falling,
+        width=max(stimulus.filter_width, 1),
+    )
+    later = filter_clocks(config, stimulus)
     bank = np.zeros(clocks, int) if stimulus.bank is None else stimulus.bank
 
     def choose(clock: int) -> Choice:
-        return Choice(int(bank[min(clock + PulseGenerator.choice_latency, clocks - 1)]))
+        return Choice(int(bank[min(clock + PulseGenerator.choice_latency + later, clocks - 1)]))
 
     periods = [schedule.period for schedule in stimulus.banks]
     trains, _ = serve(edges, choose, periods, lanes=lanes, restart=stimulus.restart)
@@ -95,10 +104,15 @@ def expected(config: PulseConfig, stimulus: Stimulus, /) -> Outcome:
         )
         levels[channel] = limit(demand, config.limit(channel), lanes=lanes)
     if stimulus.armed is not None:
-        late = PulseGenerator.latency - PulseGenerator.armed_latency
+        late = PulseGenerator.latency + later - PulseGenerator.armed_latency
         armed = np.concatenate((stimulus.armed[late:], np.ones(late, bool)))
         levels &= np.repeat(armed, lanes)
     return Outcome(levels, trains)
+
+
+def filter_clocks(config: PulseConfig, stimulus: Stimulus, /) -> int:
+    """Return how many clocks later everything happens because of the trigger's filter."""
+    return PulseGenerator.filter_clocks(config) if stimulus.filter_width else 0
 
 
 class PulseTestbench:
@@ -128,7 +142,7 @@ class PulseTestbench:
         """
         lanes = self.config.lanes
         clocks = len(stimulus.trigger) // lanes
-        latency = PulseGenerator.latency
+        latency = PulseGenerator.latency + filter_clocks(self.config, stimulus)
         records = self.simulation.inputs(clocks + latency)
         self._set(records, "banks", bits(self.banks_layout, schedule_constants(stimulus.banks)))
         live = [self._live(stimulus, bank) for bank in range(2)]
@@ -164,6 +178,7 @@ class PulseTestbench:
                 "falling": int(stimulus.falling),
                 "bank": bank,
                 "period": 256,
+                "filter": stimulus.filter_width,
             },
         )
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from itertools import cycle
@@ -32,6 +33,7 @@ from hueflight_protocol.illuminator_map import (
     ARM_KEY,
     BANKS,
     BOARD,
+    MAX_FILTER_TICKS,
     Advance,
     Retrigger,
     TriggerSource,
@@ -206,6 +208,7 @@ class Illuminator:
         restart: bool = False,
         falling: bool = False,
         output: bool = False,
+        filter_ns: float | None = None,
     ) -> float:
         """Choose what starts a train.
 
@@ -221,6 +224,11 @@ class Illuminator:
             True if the falling edge of the external trigger counts.
         output : bool
             True to send a trigger-out with every train.
+        filter_ns : float, optional
+            Time for which the external trigger must keep its level before and after an edge that
+            counts, rounded up to ticks; 0 for no filter, by default unchanged. With a filter all
+            trains start a few clocks later (see *Glitches of the trigger* in
+            ``docs/illuminator.md``).
 
         Returns
         -------
@@ -230,8 +238,10 @@ class Illuminator:
         Raises
         ------
         ScheduleError
-            If the board can't make the period.
+            If the board can't make the period or the filter.
         """
+        if filter_ns is not None:
+            self.board.write(registers.TriggerFilter(self._filter_ticks(filter_ns)))
         if period_ns is not None:
             self.board.write(registers.TriggerPeriod(self._trigger_ticks(period_ns)))
         self.board.write(
@@ -431,6 +441,15 @@ class Illuminator:
             raise ScheduleError(
                 f"period_ns = {period_ns}: must be from {shortest * tick:g} to {longest * tick:g} "
                 "ns"
+            )
+        return ticks
+
+    def _filter_ticks(self, filter_ns: float) -> int:
+        tick = self.capacity.tick_ns
+        ticks = math.ceil(filter_ns / tick - 1e-9) if filter_ns >= 0 else -1
+        if not 0 <= ticks <= MAX_FILTER_TICKS:
+            raise ScheduleError(
+                f"filter_ns = {filter_ns}: must be from 0 to {MAX_FILTER_TICKS * tick:g} ns"
             )
         return ticks
 

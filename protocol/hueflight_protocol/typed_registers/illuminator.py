@@ -57,6 +57,7 @@ __all__ = [
     "Temperature",
     "TickFs",
     "Trigger",
+    "TriggerFilter",
     "TriggerNow",
     "TriggerOut",
     "TriggerPeriod",
@@ -419,6 +420,23 @@ class TriggerOut(RegisterValue):
 
     delay: int = 0
     width: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class TriggerFilter(RegisterValue):
+    """Time without another change before and after an edge of the trigger that counts.
+
+    Attributes
+    ----------
+    width : int
+        0 = no filter; more than 8 acts as 8, in tick.
+    """
+
+    NAME: ClassVar[str] = "trigger_filter"
+    ADDRESS: ClassVar[int] = 0x0024
+    WIDTH_MAX: ClassVar[int] = 15
+
+    width: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,13 @@ from hueflight.devices.illuminator import Illuminator
 from hueflight.devices.pulse_schedule import ChannelPulse, PulseSchedule, ScheduleError
 from hueflight.devices.sequencer_program import ProgramStep, alternate, each_alone
 from hueflight.devices.transports.serial import SerialTransport
+from hueflight_hdl.illuminator.pulse_generator.generator import PulseGenerator
 from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
 from hueflight_hdl.testbench.ticks import ticks_to_words
 from hueflight_protocol.illuminator_map import ARM_KEY, Advance, TriggerSource
 from hueflight_protocol.typed_registers import illuminator as registers
+
+from .conftest import SMALL
 
 TICK_NS = 12.5  # 20 MHz, four lanes
 THREE = PulseSchedule.even(3, spacing_ns=24 * TICK_NS, width_ns=8 * TICK_NS, period_ns=3200)
@@ -403,3 +406,39 @@ def test_another_board_is_told_apart(bench: IlluminatorTestbench):
     transport = SerialTransport(bench)
     with pytest.raises(WrongDeviceError, match="not 'HILL'"):
         Illuminator(Stranger(), timeout_s=60)
+
+
+def test_the_filter_of_the_trigger(driver: Illuminator, bench: IlluminatorTestbench):
+    """A glitch starts a train without the filter only; a true edge comes later, by whole clocks."""
+    driver.play(THREE)
+    driver.arm(watchdog_ms=1000)
+    start = 4 * 40
+    glitch = np.zeros(4 * 400, bool)
+    glitch[start : start + 3] = True
+    edge = np.zeros(4 * 400, bool)
+    edge[start : start + 60] = True
+    firsts = {}
+    for filter_ns in (0.0, 3.5 * TICK_NS):
+        driver.set_trigger(TriggerSource.EXTERNAL, filter_ns=filter_ns)
+        for name, level in (("glitch", glitch), ("edge", edge)):
+            words = np.concatenate((ticks_to_words(level, lanes=4), np.zeros(400, np.uint32)))
+            begin = bench.clock
+            bench.trigger = lambda clock, count, words=words, begin=begin: words[
+                clock - begin : clock - begin + count
+            ]
+            bench.record()
+            bench.advance(400)
+            bench.trigger = None
+            rises, _ = edges(bench.levels()[0])
+            firsts[name, filter_ns] = rises.tolist()
+    assert firsts["glitch", 3.5 * TICK_NS] == []
+    (direct,) = firsts["edge", 0.0]
+    assert firsts["glitch", 0.0] == [direct]
+    assert firsts["edge", 3.5 * TICK_NS] == [direct + 4 * PulseGenerator.filter_clocks(SMALL.pulse)]
+    assert driver.board.read(registers.TriggerFilter).width == 4  # rounded up
+    driver.set_trigger(TriggerSource.EXTERNAL)
+    assert driver.board.read(registers.TriggerFilter).width == 4
+    driver.set_trigger(TriggerSource.EXTERNAL, filter_ns=0)
+    for wrong in (-1.0, 8.1 * TICK_NS):
+        with pytest.raises(ScheduleError, match=r"must be from 0 to 100 ns"):
+            driver.set_trigger(TriggerSource.EXTERNAL, filter_ns=wrong)

@@ -15,6 +15,7 @@ from hueflight_hdl.illuminator.pulse_generator.limiter import OutputLimiter
 from hueflight_hdl.proofs import illuminator_banks, illuminator_requests, illuminator_safety
 from hueflight_hdl.proofs.illuminator import PROOFS
 from hueflight_hdl.proofs.illuminator_banks import OtherBankHarness
+from hueflight_hdl.proofs.illuminator_filter import FilterHarness
 from hueflight_hdl.proofs.illuminator_limits import LimiterHarness
 from hueflight_hdl.proofs.proof import ProofError, prove
 
@@ -73,6 +74,7 @@ FALSE = {
     "a limiter that forgets parts of clocks": set_to(
         "illuminator-duty-4", OutputLimiter, "threshold", 8 * 80
     ),
+    "a filter one tick wider": set_to("illuminator-filter-4", FilterHarness, "spare", 1),
     "trains farther apart": set_to("illuminator-bank", illuminator_banks, "MIN_SPACING", 9),
     "a bank let go at once": set_to("illuminator-other-bank", OtherBankHarness, "HELD_CLOCKS", 1),
     "answered sooner": set_to("illuminator-answers", illuminator_requests, "LONGEST", 3000),

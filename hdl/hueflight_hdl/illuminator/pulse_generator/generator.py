@@ -7,8 +7,9 @@ from amaranth.hdl import Cat, Module, Mux, Signal
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
+from amaranth.utils import bits_for
 
-from hueflight_protocol.illuminator_map import TriggerSource
+from hueflight_protocol.illuminator_map import MAX_FILTER_TICKS, TriggerSource
 
 from ...common.fast_counter import FastCounter
 from .channel import Channel
@@ -19,6 +20,7 @@ from .sequencer import Sequencer
 from .slot import PulseSlot
 from .train import Train
 from .trigger import ExternalTrigger, InternalTrigger
+from .trigger_filter import TriggerFilter, filter_latency
 
 COUNTERS = ("seen", "served", "ignored", "restarts", "swaps")
 
@@ -33,6 +35,7 @@ LIVE_LAYOUT = data.StructLayout(
         "period": 16,
         "out_delay": 12,
         "out_width": 12,
+        "filter": bits_for(MAX_FILTER_TICKS),
         "bank": 1,
         "by_frame": 1,
         "loop": 1,
@@ -79,7 +82,8 @@ def status_layout(config: PulseConfig) -> data.StructLayout:
 class PulseGenerator(wiring.Component):
     """Generates a train of LED pulses for each served trigger.
 
-    A pulse begins `latency_ticks` plus its delay after the tick of the trigger.
+    A pulse begins `latency_ticks` plus its delay after the tick of the trigger; with a filter for
+    the trigger, `filter_clocks` later.
 
     Members
     -------
@@ -147,6 +151,11 @@ class PulseGenerator(wiring.Component):
         """Ticks from a trigger sample to the first tick of a pulse without delay."""
         return self.latency * self.config.lanes
 
+    @staticmethod
+    def filter_clocks(config: PulseConfig, /) -> int:
+        """Return the clocks by which the filter makes all trains later, whatever its width."""
+        return filter_latency(config.lanes) - 1
+
     def elaborate(self, platform: object) -> Module:
         m = Module()
         m.submodules.train = train = Train(self.config)
@@ -196,18 +205,27 @@ class PulseGenerator(wiring.Component):
         """Connect the chosen source; return when an external trigger was served, and its level."""
         m.submodules.external = external = ExternalTrigger(self.config)
         m.submodules.internal = internal = InternalTrigger(self.config)
+        m.submodules.filter = filtered = TriggerFilter(self.config)
         source = self.live.source
         is_external = Signal()
+        is_direct = Signal()
+        is_filtered = Signal()
         is_internal = Signal()
         is_software = Signal()
         m.d.pulse += [
             is_external.eq(source == TriggerSource.EXTERNAL),
+            is_direct.eq((source == TriggerSource.EXTERNAL) & (self.live.filter == 0)),
+            is_filtered.eq((source == TriggerSource.EXTERNAL) & (self.live.filter != 0)),
             is_internal.eq(source == TriggerSource.INTERNAL),
             is_software.eq(source == TriggerSource.SOFTWARE),
         ]
         m.d.comb += [
             external.samples.eq(self.samples),
             external.falling.eq(self.live.falling),
+            filtered.samples.eq(external.samples_out),
+            filtered.before.eq(external.before_out),
+            filtered.falling.eq(self.live.falling),
+            filtered.width.eq(self.live.filter),
             internal.enable.eq(is_internal),
             internal.period.eq(self.live.period),
             train.restart.eq(self.live.restart),
@@ -215,11 +233,16 @@ class PulseGenerator(wiring.Component):
         ]
         m.d.pulse += [
             train.edge.eq(
-                (external.edge & is_external)
+                (external.edge & is_direct)
+                | (filtered.edge & is_filtered)
                 | (internal.edge & is_internal)
                 | (self.strobes.trigger & is_software)
             ),
-            train.lane.eq(Mux(is_external, external.lane, 0) | Mux(is_internal, internal.lane, 0)),
+            train.lane.eq(
+                Mux(is_direct, external.lane, 0)
+                | Mux(is_filtered, filtered.lane, 0)
+                | Mux(is_internal, internal.lane, 0)
+            ),
         ]
         served = Signal()  # one clock after `train.served`, with the train's phase
         m.d.pulse += served.eq(train.served & is_external)

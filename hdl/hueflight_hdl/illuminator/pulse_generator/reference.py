@@ -61,7 +61,9 @@ class Train:
     restarted: bool
 
 
-def find_edges(samples: np.ndarray, /, *, lanes: int, falling: bool = False) -> np.ndarray:
+def find_edges(
+    samples: np.ndarray, /, *, lanes: int, falling: bool = False, width: int = 1
+) -> np.ndarray:
     """Return the ticks of the triggers in an input: the first edge of each clock.
 
     Parameters
@@ -72,9 +74,14 @@ def find_edges(samples: np.ndarray, /, *, lanes: int, falling: bool = False) -> 
         Ticks per clock.
     falling : bool
         Look for falling edges.
+    width : int
+        Ticks for which the input must keep its level before and after an edge; it keeps the first
+        and the last one for ever.
     """
     level = samples.astype(bool) ^ falling
-    ticks = 1 + np.flatnonzero(level[1:] & ~level[:-1])
+    changes = 1 + np.flatnonzero(level[1:] != level[:-1])
+    apart = np.diff(changes, prepend=-width, append=len(level) + width)
+    ticks = changes[level[changes] & (apart[:-1] >= width) & (apart[1:] >= width)]
     _, first = np.unique(ticks // lanes, return_index=True)
     return ticks[first]
 

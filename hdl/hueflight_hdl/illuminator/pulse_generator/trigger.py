@@ -30,6 +30,9 @@ class ExternalTrigger(wiring.Component):
     lane : Out
     level : Out(1)
         Of the input.
+    samples_out : Out(lanes), before_out : Out(1)
+        Of the clock, without metastability, and the last sample of the clock before; for the
+        filter, two clocks after the input.
     """
 
     latency = 3
@@ -43,6 +46,8 @@ class ExternalTrigger(wiring.Component):
                 "edge": Out(1),
                 "lane": Out(config.lane_bits),
                 "level": Out(1),
+                "samples_out": Out(config.lanes),
+                "before_out": Out(1),
             }
         )
 
@@ -67,6 +72,8 @@ class ExternalTrigger(wiring.Component):
                 for i, now, before in zip(lanes, samples, [last, *samples[:-1]], strict=True)
             ),
             self.level.eq(last),
+            self.samples_out.eq(samples),
+            self.before_out.eq(last),
         ]
         for i in reversed(lanes):
             with m.If(edges[i]):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from hueflight.daemon.config_section import ConfigError, Section, require_ranges
+from hueflight.daemon.picture_settings import LONGEST_S
 from hueflight.daemon.server_config import DEFAULT_PORT, LOOPBACK, ServerConfig
 
 __all__ = [
@@ -71,6 +73,10 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Live pictures per second; 0 for a rate that suits the frame rate.
     picture_frames : int
         Frames behind each live picture; 0 for a number that suits the frame rate.
+    integration_s : float or None
+        Longest time in seconds over which photons of a pixel add up while it does not change;
+        ``inf`` for no limit, 0 for the newest frames alone. By default there is no limit, or 0 if
+        `picture_frames` is given.
     change_sigma : float
         Standard deviations by which a pixel must have changed to be fitted again at once; 0 fits
         all pixels of every picture.
@@ -97,6 +103,7 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     method: str = ""
     pictures_hz: float = 0.0
     picture_frames: int = 0
+    integration_s: float | None = None
     change_sigma: float = 4.0
     threads: int = 1
     picture_threads: int = 0
@@ -118,6 +125,15 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             threads=(1, 256),
             picture_threads=(0, 256),
         )
+        if self.integration_s not in (None, math.inf):
+            require_ranges(self, "", integration_s=(0, LONGEST_S))
+
+    @property
+    def integration_or_default(self) -> float:
+        """Longest time over which photons add up, in seconds; infinite for no limit."""
+        if self.integration_s is not None:
+            return self.integration_s
+        return 0.0 if self.picture_frames else math.inf
 
     @property
     def folder(self) -> Path:

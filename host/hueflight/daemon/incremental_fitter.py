@@ -15,7 +15,8 @@ from hueflight.reconstruction.video import Video
 
 CHANGE_SIGMA = 4.0  #: see `hueflight.reconstruction.video.Video`
 REFRESH_S = 10.0  #: within this time every pixel is fitted again: chance may have misled a kept fit
-GROWTH = 1.1  #: all pixels are fitted again if frames exceed those of the kept fits by this factor
+GROWTH = 1.1  #: a pixel is fitted again if its frames exceed those of the kept fit by this factor
+_GOLDEN = 0.618033988749895  #: spreads numbers evenly over 0 to 1
 
 
 class IncrementalFitter:
@@ -37,13 +38,17 @@ class IncrementalFitter:
         self._change_sigma, self._threads = change_sigma, threads
         self._video: Video | None = None
         self._frames = 0
+        self._steps: NDArray[np.int64] | None = None
         self._latest_s = 0.0
 
-    def fit(self, histogram: Counts, calibration: Calibration, frames: int) -> xr.Dataset:
+    def fit(
+        self, histogram: Counts, calibration: Calibration, frames: int | NDArray[np.int64]
+    ) -> xr.Dataset:
         """Return the image of the next histogram.
 
         Every pixel is fitted if the calibration is a new one, or if the kept fits are of fewer
-        frames.
+        frames. Where each pixel has frames of its own, it is fitted again when they have grown by
+        another tenth, or have begun anew; as they grow alike, the steps differ from pixel to pixel.
 
         Parameters
         ----------
@@ -51,8 +56,8 @@ class IncrementalFitter:
             Counts of the newest frames.
         calibration : Calibration
             Calibration of the instrument.
-        frames : int
-            Frames in the histogram.
+        frames : int or array of int, shape (row, col)
+            Frames in the histogram, of all pixels alike or of each one.
 
         Returns
         -------
@@ -61,13 +66,24 @@ class IncrementalFitter:
             as skipped.
         """
         now = time.monotonic()
-        video = self._video
-        if video is None or video.calibration is not calibration or frames > GROWTH * self._frames:
+        video, alike = self._video, isinstance(frames, int)
+        if (
+            video is None
+            or video.calibration is not calibration
+            or alike != (self._steps is None)
+            or (alike and frames > GROWTH * self._frames)
+        ):
             video = Video(calibration, change_sigma=self._change_sigma, threads=self._threads)
-            self._video, self._frames = video, frames
+            self._video, self._frames = video, int(np.max(frames))
+            self._steps = None if alike else np.zeros(calibration.usable.shape, np.int64)
         due = self._due(calibration.usable.shape, now)
+        if self._steps is not None:
+            steps = growth_steps(np.asarray(frames))
+            due |= steps != self._steps
+            self._steps = steps
         self._latest_s = now
-        return video.next(histogram, due=due)
+        known = None if alike or calibration.instrument.sensor.reports_empty else frames
+        return video.next(histogram, frames=known, due=due)
 
     def _due(self, shape: tuple[int, ...], now: float) -> NDArray[np.bool_]:
         """Pixels whose turn to be fitted again has come since the latest picture."""
@@ -76,3 +92,21 @@ class IncrementalFitter:
         first, stop = int(per_s * self._latest_s), int(per_s * now)
         due.flat[np.arange(first, min(stop, first + due.size)) % due.size] = True
         return due
+
+
+def growth_steps(frames: NDArray[np.int64], /) -> NDArray[np.int64]:
+    """Return how often the frames of each pixel have grown by `GROWTH`.
+
+    Parameters
+    ----------
+    frames : array of int, shape (row, col)
+        Frames of each pixel.
+
+    Returns
+    -------
+    array of int, shape (row, col)
+        Steps, which are 1 or more. The places of the steps are spread over the pixels, so that of
+        pixels which have the same frames only some take a step at a time.
+    """
+    phases = (np.arange(1, frames.size + 1) * _GOLDEN % 1).reshape(frames.shape)
+    return 1 + np.floor(np.log(np.maximum(frames, 1)) / np.log(GROWTH) + phases).astype(np.int64)

@@ -34,7 +34,9 @@ class Picture:
     photons : array, shape (row, col)
         Photons of each pixel.
     frames : int
-        Frames in the histogram.
+        Frames in the histogram; of the pixel that has most.
+    frames_by_pixel : array of int, shape (row, col)
+        Frames behind each pixel.
     device_s : float
         Device clock at the start of the last exposure, in seconds.
     received_s : float
@@ -51,6 +53,7 @@ class Picture:
     image: xr.Dataset | None
     photons: NDArray[np.integer]
     frames: int
+    frames_by_pixel: NDArray[np.integer]
     device_s: float
     received_s: float
     begun_s: float
@@ -73,7 +76,11 @@ class Picture:
 
 
 def count_photons(
-    histogram: Counts, image: xr.Dataset | None, instrument: Instrument, frames: int, /
+    histogram: Counts,
+    image: xr.Dataset | None,
+    instrument: Instrument,
+    frames: int | NDArray[np.integer],
+    /,
 ) -> NDArray[np.integer]:
     """Return the photons of each pixel.
 
@@ -85,7 +92,7 @@ def count_photons(
         Reconstruction of the histogram, which has the photons already.
     instrument : Instrument
         Instrument that the histogram is of.
-    frames : int
+    frames : int or array of int, shape (row, col)
         Frames in the histogram.
 
     Returns

@@ -8,21 +8,26 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+import numpy as np
 import structlog
 import xarray as xr
+from numpy.typing import NDArray
 
 from hueflight import backend
+from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
 from hueflight.daemon.block_window import PARTS, BlockWindow
+from hueflight.daemon.gathered_window import GatheredWindow
 from hueflight.daemon.incremental_fitter import CHANGE_SIGMA, IncrementalFitter
 from hueflight.daemon.picture import Picture, count_photons
+from hueflight.daemon.picture_settings import PictureSettings
 from hueflight.errors import HueflightError
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
-from hueflight.reconstruction.entry_point import METHODS, reconstruct
+from hueflight.reconstruction.entry_point import reconstruct
 
 UNSEEN_S = 1.0  #: from picture to picture while nobody is watching
 PATIENCE_S = 330.0  #: for one picture; the NumPy definition of the joint fit takes minutes
@@ -48,8 +53,14 @@ class Pictures:
         Instrument of the histograms.
     method : str
         Method of reconstruction; empty for the best one that keeps up.
+    integration_s : float
+        Longest time over which photons add up; see `PictureSettings`.
     window_blocks : int
-        Blocks that are summed for each picture.
+        Blocks that are summed for each picture where `integration_s` is 0.
+    rate_hz : float
+        Frames per second to expect.
+    block_frames : int
+        Frames from one block to the next.
     change_sigma : float
         With the joint method, standard deviations by which a pixel must have changed to be fitted
         again at once; 0 fits every pixel of every picture. See `IncrementalFitter`.
@@ -63,6 +74,8 @@ class Pictures:
 
     Attributes
     ----------
+    settings : PictureSettings
+        How pictures are made; see `change`.
     calibration : Calibration or None
         Calibration that is used from the next picture on; None shows photons only.
     latest : Picture or None
@@ -83,16 +96,17 @@ class Pictures:
         /,
         *,
         method: str = "",
+        integration_s: float = 0.0,
         window_blocks: int = 1,
+        rate_hz: float = 1000.0,
+        block_frames: int = 1,
         change_sigma: float = CHANGE_SIGMA,
         threads: int = 1,
         on_picture: Callable[[Picture], None],
         is_watched: Callable[[], bool] = lambda: True,
     ) -> None:
-        if method and method not in METHODS:
-            raise HueflightError(f"method = {method!r}: choose one of {', '.join(METHODS)}")
         self.instrument = instrument
-        self.method = method or live_method()
+        self.settings = PictureSettings(integration_s, method or live_method())
         self.calibration: Calibration | None = None
         self.latest: Picture | None = None
         self.made = self.skipped = 0
@@ -103,8 +117,10 @@ class Pictures:
         self._threads = threads
         self._fitter = IncrementalFitter(change_sigma=change_sigma, threads=threads)
         self._waiting: deque[LiveBlock] = deque()
-        self._window = BlockWindow(window_blocks)
-        self._next_window: BlockWindow | None = None
+        self._window_blocks, self._rate_hz = window_blocks, rate_hz
+        self._block_frames = block_frames
+        self._window = self._make_window(self.settings)
+        self._next_window: BlockWindow | GatheredWindow | None = None
         self._old_blocks = 0  # still to come, which began before the next window
         self._changed = threading.Condition()
         self._closing = False
@@ -130,12 +146,43 @@ class Pictures:
                 self._waiting.popleft().give_back()
             self._changed.notify()
 
-    def begin_anew(self, window: BlockWindow, /) -> int:
+    def change(self, settings: PictureSettings, /) -> tuple[int, int]:
+        """Make the next pictures in another way, of photons that come from now on.
+
+        Parameters
+        ----------
+        settings : PictureSettings
+            How to make pictures.
+
+        Returns
+        -------
+        frames : int
+            Frames that each picture has at least, once so many were taken.
+        number : int
+            Number of the latest picture that may hold older photons.
+        """
+        window = self._make_window(settings)
+        self.settings = settings
+        return window.least * self._block_frames, self.begin_anew(window)
+
+    def follow(self, run: RunSettings, /) -> None:
+        """Make pictures of a stream that is cut in another way, begun anew.
+
+        Parameters
+        ----------
+        run : RunSettings
+            How the stream is cut from now on.
+        """
+        self._window_blocks, self._rate_hz = run.window_blocks, run.rate_hz
+        self._block_frames = run.block_frames
+        self.change(self.settings)
+
+    def begin_anew(self, window: BlockWindow | GatheredWindow, /) -> int:
         """Sum only blocks that begin from now on.
 
         Parameters
         ----------
-        window : BlockWindow
+        window : BlockWindow or GatheredWindow
             Window that sums the blocks from now on.
 
         Returns
@@ -179,7 +226,15 @@ class Pictures:
             for block in blocks:
                 self._window.add(block)
             if self._is_wanted(begun_s):
-                self._make(blocks[-1], self._window.histogram(), self._window.frames, begun_s)
+                self._make(blocks[-1], self._window.histogram(), self._window, begun_s)
+
+    def _make_window(self, settings: PictureSettings) -> BlockWindow | GatheredWindow:
+        if settings.integration_s == 0:
+            frames = settings.frames
+            if frames:
+                return BlockWindow.holding(-(-frames // self._block_frames))
+            return BlockWindow(self._window_blocks)
+        return GatheredWindow(self.instrument, settings.integration_s, self._rate_hz)
 
     def _begin_anew(self, reason: str, trace: str) -> None:
         """After a fault of the program: forget what may have caused it."""
@@ -191,18 +246,27 @@ class Pictures:
         """Whether somebody is watching, or would find the latest picture too old."""
         return self.latest is None or self._is_watched() or now - self.latest.begun_s >= UNSEEN_S
 
-    def _make(self, newest: LiveBlock, histogram: Counts, frames: int, begun_s: float) -> None:
+    def _make(
+        self,
+        newest: LiveBlock,
+        histogram: Counts,
+        window: BlockWindow | GatheredWindow,
+        begun_s: float,
+    ) -> None:
+        frames = window.frames_by_pixel if isinstance(window, GatheredWindow) else window.frames
         image = self._reconstruct(histogram, newest.kind, frames)
         with self._changed:
             self.made, self._making = self.made + 1, False
         clock_hz = newest.block.clock_hz
+        photons = count_photons(histogram, image, self.instrument, frames)
         picture = Picture(
             number=self.made,
             kind=newest.kind,
             histogram=histogram,
             image=image,
-            photons=count_photons(histogram, image, self.instrument, frames),
-            frames=frames,
+            photons=photons,
+            frames=window.frames,
+            frames_by_pixel=np.broadcast_to(frames, photons.shape),
             device_s=newest.block.last_tick / clock_hz if clock_hz else 0.0,
             received_s=newest.received_s,
             begun_s=begun_s,
@@ -212,16 +276,19 @@ class Pictures:
         self._on_picture(picture)
         self.thread.recovered()
 
-    def _reconstruct(self, histogram: Counts, kind: str, frames: int) -> xr.Dataset | None:
-        calibration = self.calibration
+    def _reconstruct(
+        self, histogram: Counts, kind: str, frames: int | NDArray[np.int64]
+    ) -> xr.Dataset | None:
+        calibration, method = self.calibration, self.settings.method
         if calibration is None or kind not in ("scene", "reference"):
             return None
         try:
-            if self.method == "joint":
+            if method == "joint":
                 image = self._fitter.fit(histogram, calibration, frames)
             else:
+                known = None if self.instrument.sensor.reports_empty else frames
                 image = reconstruct(
-                    histogram, calibration, method=self.method, threads=self._threads
+                    histogram, calibration, method=method, frames=known, threads=self._threads
                 )
         except HueflightError as error:
             self.problem = str(error)

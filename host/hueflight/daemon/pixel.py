@@ -62,7 +62,7 @@ def inspect(
         "row": row,
         "col": col,
         "picture": picture.number,
-        "frames": picture.frames,
+        "frames": int(picture.frames_by_pixel[row, col]),
         "photons": int(picture.photons[row, col]),
         "edges_ns": [round(float(edge), 4) for edge in bins.edges_ns],
         "counts": counts.tolist(),

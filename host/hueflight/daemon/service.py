@@ -18,7 +18,6 @@ from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.calibration import Calibration
-from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.disk_watch import DiskWatch
@@ -109,7 +108,10 @@ class Service:
         self.pictures = Pictures(
             instrument,
             method=config.method,
+            integration_s=config.integration_or_default,
             window_blocks=self.settings.window_blocks,
+            rate_hz=self.settings.rate_hz,
+            block_frames=self.settings.block_frames,
             change_sigma=config.change_sigma,
             threads=config.picture_threads or os.cpu_count() or 1,
             on_picture=on_picture,
@@ -163,13 +165,23 @@ class Service:
         self.calibration_job.check_idle()
         self.acquisition.set_live(LIVE)
 
-    def expose(self, frames: int, /) -> tuple[int, int]:
-        """Begin a picture anew, with photons that come from now on.
+    def change_pictures(
+        self,
+        *,
+        frames: int | None = None,
+        integration_s: float | None = None,
+        method: str | None = None,
+    ) -> tuple[int, int]:
+        """Make pictures in another way, of photons that come from now on.
 
         Parameters
         ----------
-        frames : int
-            Frames behind this picture and those that follow; 0 for as many as at the start.
+        frames : int, optional
+            Frames behind each picture at least, changed or not; 0 for what the configuration says.
+        integration_s : float, optional
+            Longest time over which photons add up, in seconds; see `PictureSettings`.
+        method : str, optional
+            Method of reconstruction. What is not given stays as it is.
 
         Returns
         -------
@@ -177,13 +189,21 @@ class Service:
             Frames that each picture has at least, once so many were taken.
         number : int
             Number of the latest picture that may hold older photons.
+
+        Raises
+        ------
+        PictureSettingsError
+            If the settings are not possible.
         """
-        settings = self.settings
-        if frames:
-            window = BlockWindow.holding(-(-frames // settings.block_frames))
-        else:
-            window = BlockWindow(settings.window_blocks)
-        return window.least * settings.block_frames, self.pictures.begin_anew(window)
+        settings = self.pictures.settings
+        if frames is not None:
+            seconds = 0.0 if frames else self.config.integration_or_default
+            settings = replace(settings, frames=frames, integration_s=seconds)
+        if integration_s is not None:
+            settings = replace(settings, frames=frames or 0, integration_s=integration_s)
+        if method is not None:
+            settings = replace(settings, method=method)
+        return self.pictures.change(settings)
 
     def stop(self) -> None:
         """End the present run, and stay idle.
@@ -227,7 +247,7 @@ class Service:
             controls = replace(self.acquisition.controls, **changes)
             controls.check(self.instrument, self.acquisition.snapshot.timing)
             self.settings = run_settings(self.config, controls.instrument(self.instrument))
-            self.pictures.begin_anew(BlockWindow(self.settings.window_blocks))
+            self.pictures.follow(self.settings)
             self.acquisition.set_controls(controls, self.settings)
         log.info("controls changed", **describe_controls(controls))
 

@@ -6,14 +6,19 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from hueflight.acquisition.plan import Gap
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.daemon.calibration_job import CalibrationJob
+from hueflight.daemon.picture import Picture
 from hueflight.daemon.pictures import Pictures
 from hueflight.daemon.recording_job import RecordingJob
 from hueflight.devices.camera_controls import MIN_RATE_HZ, CameraControls, CameraTiming
 from hueflight.devices.illumination import GUIDANCE
 from hueflight.model.instrument import Instrument
+from hueflight.reconstruction.entry_point import METHODS
+from hueflight.reconstruction.quality import Quality
 
 
 def run_status(snapshot: Snapshot, /) -> dict[str, Any]:
@@ -64,7 +69,22 @@ def picture_status(pictures: Pictures, /, *, now_s: float, stale_after_s: float)
         "stale": age_s is None or age_s > stale_after_s,
         "stale_after_s": stale_after_s,
         "skipped": pictures.skipped,
-        "method": pictures.method,
+        "method": pictures.settings.method,
+        "methods": list(METHODS),
+        "integration_s": pictures.settings.integration_s,  # infinity becomes null in JSON
+        "frames": _spread_of_frames(picture),
+    }
+
+
+def _spread_of_frames(picture: Picture | None) -> dict[str, int]:
+    """Frames behind the pixels of a picture: of the fewest, of half of them, and the most."""
+    if picture is None:
+        return {"least": 0, "median": 0, "most": 0}
+    frames = picture.frames_by_pixel
+    return {
+        "least": int(frames.min()),
+        "median": int(np.median(frames)),
+        "most": picture.frames,
     }
 
 
@@ -134,5 +154,6 @@ def describe_instrument(instrument: Instrument, /) -> dict[str, Any]:
             }
             for band in instrument.bands
         ],
+        "flags": {flag.name.lower(): int(flag) for flag in Quality if flag.name},
         "guidance": GUIDANCE,
     }

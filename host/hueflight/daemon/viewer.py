@@ -32,7 +32,7 @@ from hueflight.model.time_bins import TimeBins
 from hueflight.reconstruction.quality import Quality
 
 #: modules of the live page that the viewer shares with it, in the order of their dependence
-MODULES = ("colormap.js", "colours.js", "gl.js", "plots.js")
+MODULES = ("colormap.js", "colours.js", "values.js", "gl.js", "plots.js")
 LARGEST = 128 * 2**20  #: counts in a page; more would be slow to load
 TEMPLATE_STEPS = 4096  #: of the table of a band's waveform
 LABELS = {

@@ -10,7 +10,12 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.daemon.incremental_fitter import REFRESH_S, IncrementalFitter
+from hueflight.daemon.incremental_fitter import (
+    GROWTH,
+    REFRESH_S,
+    IncrementalFitter,
+    growth_steps,
+)
 from hueflight.reconstruction.quality import Quality
 
 
@@ -71,3 +76,41 @@ def test_every_pixel_has_its_turn_once_in_a_while(
     # 2e-13 s of rounding in a thousand additions may leave out the very last
     assert (fitted <= 1).all()
     assert fitted.sum() >= calibration.usable.sum() - 1
+
+
+def test_steps_of_growth_are_spread_over_the_pixels() -> None:
+    """While the frames grow by a factor of G, each pixel takes one step, few at a time."""
+    before = growth_steps(np.full((20, 50), 1000))
+    taken = np.zeros((20, 50), int)
+    for part in range(1, 11):
+        now = growth_steps(np.full((20, 50), round(1000 * GROWTH ** (part / 10))))
+        assert (now - before).sum() == pytest.approx(100, abs=8)
+        taken += now - before
+        before = now
+    assert (taken == 1).mean() > 0.99  # frames are whole numbers
+
+
+def test_pixels_that_begin_anew_are_fitted_at_once(
+    small: Callable[..., hf.Instrument], draw: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide = small(rows=24, cols=24)
+    calibration = hf.calibrate(draw(wide, photons=20_000), wide, distance=0.5)
+    monkeypatch.setattr("hueflight.daemon.incremental_fitter.time.monotonic", lambda: 1000.0)
+    fitter = IncrementalFitter(change_sigma=4.0)
+    counts = draw(wide, depth=0.9, photons=5000, frames=4000, seed=1).astype(np.uint16)
+    frames = np.full((24, 24), 4000)
+    fitter.fit(counts, calibration, frames)
+
+    def fitted() -> np.ndarray:
+        image = fitter.fit(counts, calibration, frames)
+        return (image["quality"].values & int(Quality.SKIPPED)) == 0
+
+    assert not (fitted() & calibration.usable).any()
+    part = (slice(3, 9), slice(5, 20))
+    counts[part] = draw(wide, depth=0.9, photons=100, frames=80, seed=2)[part]
+    frames[part] = 80
+    wanted = np.zeros((24, 24), bool)
+    wanted[part] = True
+    assert np.array_equal(fitted() & calibration.usable, wanted & calibration.usable)
+    frames = np.full((24, 24), 8000)
+    assert fitted().all()  # far more frames than any fit that was kept

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +17,7 @@ import hueflight as hf
 from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.picture import Picture
+from hueflight.daemon.picture_settings import PictureSettings, PictureSettingsError
 from hueflight.daemon.pictures import Pictures
 
 WAIT_S = 20
@@ -126,6 +129,69 @@ def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrumen
     finally:
         pictures.close()
     assert (made[-1].histogram == 120_000).all()
+
+
+def test_photons_add_up_until_something_changes_or_the_settings_do(
+    instrument: hf.Instrument,
+) -> None:
+    made: list[Picture] = []
+    done = threading.Semaphore(0)
+    pictures = Pictures(
+        instrument, integration_s=math.inf, on_picture=lambda p: (made.append(p), done.release())
+    )
+    source = Source(instrument.histogram_shape)
+    offered = 0
+
+    def change(settings: PictureSettings) -> None:
+        pictures.change(settings)
+        pictures.offer(source.block(-1))  # began before the change, and is left out
+
+    def offer(*, kind: str = "scene", run: int = 1, factor: int = 1) -> LiveBlock:
+        nonlocal offered
+        live = replace(source.block(offered, run=run, frames=200), kind=kind)
+        live.block.counts[0][:] *= factor
+        offered += 1
+        pictures.offer(live)
+        assert done.acquire(timeout=WAIT_S)
+        assert made[-1].histogram.shape == instrument.histogram_shape
+        return live
+
+    try:
+        total = sum(offer().block.counts[0].astype(np.int64) for _ in range(6))
+        assert np.array_equal(made[-1].histogram, total)
+        total += offer(run=2).block.counts[0]  # a recording sees the same scene
+        assert np.array_equal(made[-1].histogram, total)
+        assert made[-1].frames == 1400
+        assert (made[-1].frames_by_pixel == 1400).all()
+        brighter = offer(factor=3)
+        assert np.array_equal(made[-1].histogram, brighter.block.counts[0])
+        assert made[-1].frames == 200
+        offer(factor=3)
+        assert made[-1].frames == 400
+        reference = offer(kind="reference", factor=3)  # something else is in front of the camera
+        assert np.array_equal(made[-1].histogram, reference.block.counts[0])
+        change(PictureSettings(0.0, pictures.settings.method))
+        for _ in range(2):
+            newest = offer(kind="reference", factor=3)
+            assert np.array_equal(made[-1].histogram, newest.block.counts[0])
+        change(PictureSettings(0.4, "paper"))  # 400 frames at the default rate
+        for frames in (200, 400, 400, 400):
+            offer(kind="reference", factor=3)
+            assert made[-1].frames == frames
+        assert pictures.settings.method == "paper"
+    finally:
+        pictures.close()
+
+
+def test_impossible_settings_are_refused() -> None:
+    for seconds, method, words in (
+        (-1.0, "joint", "integration_s = -1"),
+        (math.nan, "joint", "integration_s = nan"),
+        (2e6, "joint", "integration_s = 2000000"),
+        (1.0, "magic", "method = 'magic': choose one of"),
+    ):
+        with pytest.raises(PictureSettingsError, match=words):
+            PictureSettings(seconds, method)
 
 
 @pytest.mark.parametrize("length", [10, 11, 25, 400])

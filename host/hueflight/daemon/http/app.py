@@ -31,6 +31,7 @@ from hueflight.daemon.http.page_routes import page_routes
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.http.roles import SESSION_PATH
 from hueflight.daemon.picture import Picture
+from hueflight.daemon.picture_settings import PictureSettingsError
 from hueflight.daemon.pixel import PixelError
 from hueflight.daemon.recordings_folder import RecordingMissingError, RecordingNameError
 from hueflight.daemon.server_config import Tokens
@@ -233,8 +234,8 @@ def _status_of(error: HueflightError) -> int:
         return 404
     if isinstance(error, RecordingNameError | CaptureError):
         return 409
-    if isinstance(error, DeviceError):
-        return 422  # what the camera can't do
+    if isinstance(error, DeviceError | PictureSettingsError):
+        return 422  # what the camera or the daemon can't do
     return 500
 
 

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgspec
 
+from hueflight.daemon.picture_settings import LONGEST_S
 from hueflight.daemon.pixel import inspect
 from hueflight.daemon.service import Service
 from hueflight.reconstruction.stopping import StopRule
@@ -102,17 +104,37 @@ class RenameBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
 
 class PictureBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Settings of live pictures."""
+    """How live pictures are made from now on; what is not given stays as it is."""
 
-    frames: Annotated[
-        int,
-        msgspec.Meta(
-            ge=0,
-            le=10_000_000,
-            description="Number of frames behind each picture at least, rounded up to a multiple "
-            "of those from one picture to the next. 0 means as many as when the daemon started.",
-        ),
-    ] = 0
+    frames: (
+        Annotated[
+            int,
+            msgspec.Meta(
+                ge=0,
+                le=10_000_000,
+                description="Number of frames behind each picture at least, rounded up to a "
+                "multiple of those from one picture to the next. 0 restores what the daemon's "
+                "configuration says.",
+            ),
+        ]
+        | msgspec.UnsetType
+    ) = msgspec.UNSET
+    integration_s: (
+        Annotated[
+            float,
+            msgspec.Meta(
+                ge=0,
+                le=LONGEST_S,
+                description="Longest time in seconds over which photons of a pixel add up while it "
+                "does not change; null for no limit, 0 for the newest frames alone.",
+            ),
+        ]
+        | msgspec.UnsetType
+        | None
+    ) = msgspec.UNSET
+    method: (
+        Annotated[str, msgspec.Meta(description="Method of reconstruction.")] | msgspec.UnsetType
+    ) = msgspec.UNSET
 
 
 class CalibrateBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -244,8 +266,20 @@ def _stop(service: Service, _: None) -> dict[str, Any]:
 
 
 def _picture(service: Service, body: PictureBody) -> dict[str, Any]:
-    frames, number = service.expose(body.frames)
-    return {"frames": frames, "number": number}
+    seconds: float | msgspec.UnsetType = (
+        math.inf if body.integration_s is None else body.integration_s
+    )
+    chosen = {"frames": body.frames, "integration_s": seconds, "method": body.method}
+    frames, number = service.change_pictures(
+        **{name: value for name, value in chosen.items() if value is not msgspec.UNSET}
+    )
+    settings = service.pictures.settings
+    return {
+        "frames": frames,
+        "number": number,
+        "integration_s": settings.integration_s,
+        "method": settings.method,
+    }
 
 
 def _record(service: Service, body: RecordBody) -> dict[str, Any]:
@@ -363,8 +397,8 @@ OPERATIONS: tuple[Operation, ...] = (
         "/api/picture",
         "picture",
         "Begin a live picture anew, of photons that come from now on",
-        "Number of frames that each picture has at least, and number of the latest picture that "
-        "may hold older photons.",
+        "Number of frames that each picture has at least, number of the latest picture that may "
+        "hold older photons, and how pictures are made.",
         _picture,
         body=PictureBody,
     ),

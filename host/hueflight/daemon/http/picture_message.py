@@ -28,8 +28,9 @@ def encode_picture(
     those of the reconstruction. With ``"display"``, they are ``depth`` and ``depth_std`` (uint16,
     metres = value · scale), ``bands`` (uint8, (band, row, col), reflectance = top[band] ·
     (value/255)²), ``colours`` (uint8, (row, col, 3), sRGB from all bands, if enough are visible),
-    ``photons`` (uint16, clipped) and ``quality`` (uint16, bits of
-    `hueflight.reconstruction.quality.Quality`). Without a calibration there are only photons.
+    ``photons`` and ``frames`` (uint32, frames behind each pixel) and ``quality``
+    (uint16, bits of `hueflight.reconstruction.quality.Quality`). Without a calibration there are
+    only photons and frames.
 
     Parameters
     ----------
@@ -61,7 +62,9 @@ def encode_picture(
 
 
 def _for_display(picture: Picture, live_color: LiveColor, header: dict[str, Any]) -> bytes:
-    planes = [Plane("photons", np.minimum(picture.photons, UNKNOWN).astype("<u2"), _PLANE)]
+    planes = [Plane("photons", picture.photons.astype("<u4"), _PLANE)]
+    frames = np.minimum(picture.frames_by_pixel, np.iinfo(np.uint32).max).astype("<u4")
+    planes.append(Plane("frames", frames, _PLANE))
     image = picture.image
     if image is not None:
         for name in ("depth", "depth_std"):

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Small helpers over WebGL2.
 
+import { UNKNOWN } from "./values.js";
+
 export function context(canvas) {
   const gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
   if (!gl) throw new Error("This browser has no WebGL2, which the picture needs.");
@@ -33,7 +35,9 @@ export function program(gl, vertex, fragment) {
 export class Textures {
   constructor(gl) {
     this.gl = gl;
-    this.names = ["depth", "photons", "quality", "bands", "colours", "map"];
+    this.names = [
+      "depth", "depth_std", "photons", "frames", "quality", "bands", "colours", "map",
+    ];
     this.textures = Object.fromEntries(this.names.map((name) => [name, gl.createTexture()]));
   }
 
@@ -58,11 +62,18 @@ export class Textures {
 
   fill({ rows, cols, planes }) {
     const gl = this.gl;
-    for (const name of ["depth", "photons", "quality"]) {
+    for (const name of ["depth", "depth_std", "quality"]) {
       const target = this.#bind(name);
-      const data = planes[name] ?? new Uint16Array(rows * cols).fill(name === "quality" ? 0 : 65535);
+      const data = planes[name] ?? new Uint16Array(rows * cols).fill(name === "quality" ? 0 : UNKNOWN);
       gl.texImage2D(
         target, 0, gl.R16UI, cols, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, data,
+      );
+    }
+    for (const name of ["photons", "frames"]) {
+      const target = this.#bind(name);
+      const data = planes[name] ?? new Uint32Array(rows * cols).fill(1);
+      gl.texImage2D(
+        target, 0, gl.R32UI, cols, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, data,
       );
     }
     const bands = planes.bands ?? new Uint8Array(rows * cols);

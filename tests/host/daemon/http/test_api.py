@@ -187,6 +187,26 @@ def test_bad_bodies_are_refused(
     assert client.get("/api/recordings").json() == {"recordings": []}
 
 
+def test_pictures_are_made_as_clients_want_them(client: TestClient) -> None:
+    found = status(client)["picture"]
+    assert (found["integration_s"], found["method"]) == (None, "joint")  # None: no limit
+    until(lambda: status(client)["picture"]["frames"]["least"] > 2000, "photons add up")
+    answer = client.post("/api/picture", json={"integration_s": 0, "method": "pooled"})
+    assert answer.json().items() >= {"integration_s": 0.0, "method": "pooled"}.items()
+    until(lambda: status(client)["picture"]["frames"]["most"] == 400, "the newest frames only")
+    answer = client.post("/api/picture", json={"integration_s": None})
+    assert answer.json().items() >= {"integration_s": None, "method": "pooled"}.items()
+    assert status(client)["picture"]["integration_s"] is None
+    answer = client.post("/api/picture", json={"frames": 900})
+    assert answer.json()["integration_s"] == 0
+    until(lambda: status(client)["picture"]["frames"]["most"] == 1000, "as many as were asked for")
+    assert client.post("/api/picture", json={"frames": 0}).json()["integration_s"] is None
+    answer = client.post("/api/picture", json={"method": "magic"})
+    assert answer.status_code == 422
+    assert "method = 'magic'" in answer.json()["error"]
+    assert client.post("/api/picture", json={"integration_s": -1}).status_code == 422
+
+
 def test_bodies_must_be_json_and_small(client: TestClient) -> None:
     assert client.post("/api/recordings", data={"name": "x"}).status_code == 415
     headers = {"content-type": "application/json"}

@@ -22,7 +22,8 @@ LIVE_COLOR = LiveColor(hf.Instrument.load("paper"))
 def picture(image: xr.Dataset | None, photons: np.ndarray) -> Picture:
     return Picture(
         number=7, kind="scene", histogram=np.zeros((*photons.shape, 2), np.uint16), image=image,
-        photons=photons, frames=3, device_s=1.5, received_s=10.0, begun_s=10.1, ready_s=10.25,
+        photons=photons, frames=3, frames_by_pixel=np.full(photons.shape, 3), device_s=1.5,
+        received_s=10.0, begun_s=10.1, ready_s=10.25,
     )  # fmt: skip
 
 
@@ -44,8 +45,9 @@ def test_photons_alone_without_a_calibration() -> None:
     photons = np.array([[0, 5, 70_000]])
     header, planes = decode(encode_picture(picture(None, photons), LIVE_COLOR))
     assert (header["number"], header["rows"], header["cols"], header["made_ms"]) == (7, 1, 3, 250)
-    assert planes["photons"].tolist() == [[0, 5, 65_535]]
-    assert list(planes) == ["photons"]
+    assert planes["photons"].tolist() == [[0, 5, 70_000]]
+    assert list(planes) == ["photons", "frames"]
+    assert planes["frames"].tolist() == [[3, 3, 3]]
 
 
 def test_an_image_in_the_coding_of_the_page() -> None:

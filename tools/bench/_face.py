@@ -24,7 +24,7 @@ from hueflight.reconstruction.pooled.estimate import photons_of
 from hueflight.reconstruction.pooled.kernels import lag_likelihood
 from hueflight.reconstruction.pooled.tables import tables_for
 
-FACE = Path(__file__).resolve().parents[3] / "shared" / "data" / "photons" / "data_face.mat"
+FACE = Path(__file__).absolute().parents[3] / "shared" / "data" / "photons" / "data_face.mat"
 STEP_NS = 0.008
 FIRST, CODES, GROUP = 3328, 256, 4  #: the stretch of time that is looked at, in codes of 4 steps
 PULSE_NS = 0.5  #: where the pulse of distance 0 is put
@@ -35,6 +35,13 @@ PERIOD_NS = STEP_NS * GROUP * CODES
 
 def face_depths() -> tuple[NDArray[np.float64], xr.Dataset, float]:
     """Depth (row, col) by the log-matched filter, the pooled image, and photons per pixel."""
+    counts, calibration, photons = face_capture()
+    image = hf.reconstruct(counts, calibration, method="pooled", depth_range=DEPTH_RANGE)
+    return matched_depths(counts, calibration, DEPTH_RANGE), image, photons
+
+
+def face_capture() -> tuple[NDArray[np.uint16], Calibration, float]:
+    """Histograms (row, col, code), a calibration from the same photons, and photons per pixel."""
     times = loadmat(FACE)["Ts"]
     rows, cols = times.shape
     each = [[cell.ravel().astype(np.int64) for cell in row] for row in times]
@@ -58,8 +65,7 @@ def face_depths() -> tuple[NDArray[np.float64], xr.Dataset, float]:
         delay_ns = PULSE_NS + 2 * image.depth.values / SPEED_OF_LIGHT_M_PER_NS
         delay_ns = np.nan_to_num(delay_ns, nan=PULSE_NS)
         calibration = _calibration(instrument, arrival_ns - delay_ns.ravel()[owner])
-    image = hf.reconstruct(counts, calibration, method="pooled", depth_range=DEPTH_RANGE)
-    return _matched(counts, calibration), image, float(sizes.mean())
+    return counts, calibration, float(sizes.mean())
 
 
 def _instrument(rows: int, cols: int) -> hf.Instrument:
@@ -106,9 +112,11 @@ def _calibration(instrument: hf.Instrument, since_ns: NDArray[np.float64]) -> Ca
     )
 
 
-def _matched(counts: NDArray[np.unsignedinteger], calibration: Calibration) -> NDArray[np.float64]:
+def matched_depths(
+    counts: NDArray[np.unsignedinteger], calibration: Calibration, depth_range: tuple[float, float]
+) -> NDArray[np.float64]:
     """Depth of the highest correlation with the logarithm of the pulse, each pixel alone."""
-    search_ns = search_range_ns(calibration, DEPTH_RANGE)
+    search_ns = search_range_ns(calibration, depth_range)
     tables = tables_for(calibration, search_ns)
     pulse = 0.9 * tables.shares[:, 0] * tables.period_ns + 0.1
     first, last = (int(bound * tables.cells_per_ns) for bound in search_ns)

@@ -16,10 +16,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import as_they_were
 import clean
 import departures
 import deviations
 import edges
+import pileup
+import pooled_checks
 import returns
 from _measure import table
 from acceptance import Group, Row
@@ -31,6 +34,9 @@ GROUPS: dict[str, Group] = {
     "edges": edges.rows,
     "departures": departures.rows,
     "returns": returns.rows,
+    "pooled": pooled_checks.rows,
+    "pileup": pileup.rows,
+    "as-they-were": as_they_were.rows,
 }
 PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
 

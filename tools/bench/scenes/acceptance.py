@@ -5,6 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+
+#: Real photons beside the project; rows that need them say so where they are not there.
+PHOTON_DATA = Path(__file__).parents[4] / "shared" / "data" / "photons"
+NO_DATA = "not measured: no data"
 
 
 @dataclass(frozen=True)

@@ -192,12 +192,45 @@ def bound_m(
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))
 
 
-def instrument(rows: int, cols: int) -> hf.Instrument:
-    """Return the project's description of this instrument, without a lens."""
+def drawn_first_photons(
+    mean: NDArray[np.float64], rng: np.random.Generator, *, frames: int
+) -> NDArray[np.uint32]:
+    """Draw raw histograms of exposures of one period, of which each keeps its first photon.
+
+    Parameters
+    ----------
+    mean : ndarray of float, shape (row, col, bin)
+        Expected photons of one period.
+    rng : Generator
+        Random numbers.
+    frames : int
+        Number of exposures.
+
+    Returns
+    -------
+    ndarray of uint32, shape (row, col, code)
+        Counts; code 0 holds the exposures without a photon.
+    """
+    silent = np.exp(-np.cumsum(mean, axis=-1))  # probability of no photon up to the end of a bin
+    first = -np.diff(silent, axis=-1, prepend=1.0)
+    outcomes = np.concatenate([first, silent[..., -1:]], axis=-1)
+    counts = rng.multinomial(frames, outcomes)
+    histogram = np.zeros((*mean.shape[:-1], CODES), np.uint32)
+    histogram[..., mean.shape[-1] : 0 : -1] = counts[..., :-1]
+    histogram[..., 0] = counts[..., -1]
+    return histogram
+
+
+def instrument(rows: int, cols: int, *, one_period: bool = False) -> hf.Instrument:
+    """Return the project's description of this instrument, without a lens.
+
+    With `one_period`, an exposure is one period instead of 1 ms.
+    """
     paper = hf.Instrument.load("paper")
-    return paper.replace(
-        sensor=msgspec.structs.replace(paper.sensor, rows=rows, cols=cols), lens=None
-    )
+    sensor = msgspec.structs.replace(paper.sensor, rows=rows, cols=cols)
+    if one_period:
+        sensor = msgspec.structs.replace(sensor, exposure_ms=None)
+    return paper.replace(sensor=sensor, lens=None)
 
 
 def calibrated(
@@ -209,6 +242,7 @@ def calibrated(
     distance_m: float = REFERENCE_M,
     leds: Sequence[Led] = LEDS,
     seed: int = 0,
+    one_period: bool = False,
 ) -> hf.Calibration:
     """Calibrate from drawn captures of a white target, as a lab would.
 
@@ -224,6 +258,8 @@ def calibrated(
         The light sources as they were on the day of the calibration.
     seed : int
         Seed of the draws.
+    one_period : bool
+        Whether an exposure is one period. The captures are too dim for pile-up either way.
     """
     rng = np.random.default_rng([seed, rows, cols])
     plain = np.ones((rows, cols))
@@ -236,7 +272,7 @@ def calibrated(
     one_by_one = [capture(one_led_photons * one, one_led_photons / 20) for one in np.eye(len(leds))]
     return hf.calibrate(
         capture(white, photons / 20),
-        instrument(rows, cols),
+        instrument(rows, cols, one_period=one_period),
         distance=distance_m,
         bands=np.stack(one_by_one),
     )

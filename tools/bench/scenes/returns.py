@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
-from acceptance import Row
+from acceptance import NO_DATA, PHOTON_DATA, Row
 from numpy.typing import NDArray
 from outside_model import COLORS, amplitudes, bound_m, calibrated, drawn, expected
 from scipy.io import loadmat
@@ -18,7 +17,7 @@ from hueflight.model.waveforms import Templates
 from hueflight.reconstruction.quality import Quality
 
 METHODS = ("joint", "paper", "pooled")
-NIGHT = Path(__file__).parents[4] / "shared" / "data" / "photons" / "k11_night.mat"
+NIGHT = PHOTON_DATA / "k11_night.mat"
 NIGHT_GATE_PS, NIGHT_CODES, NIGHT_FWHM_NS, NIGHT_PULSE_NS = 200_000, 512, 0.98, 5.0
 #: rows and columns of the night picture that show nothing but sky
 SKIES = (np.s_[:50, 80:155], np.s_[:60, :22], np.s_[100:250, 225:])
@@ -93,7 +92,7 @@ def _bars(calibration: Calibration, size: tuple[int, int]) -> Iterator[Row]:
 def _night(quick: bool) -> Iterator[Row]:
     """Sky of a real capture of a building at night."""
     if not NIGHT.exists():
-        yield Row("sky of a real night picture, `pooled`: unflagged depths", "data not there")
+        yield Row("sky of a real night picture, `pooled`: unflagged depths", NO_DATA)
         return
     cells = loadmat(NIGHT)["Ts_gated"]
     if quick:

@@ -21,6 +21,7 @@ class Faults:
 
     plugged: bool = True
     silent: bool = False
+    held: bool = False  #: nothing comes for the time being, and nothing is lost
     damage: float = 0.0
     late_reads: int = 0  #: of a stream just opened, before anything comes
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
@@ -48,6 +49,8 @@ class FaultyStream(SimulatedStream):
         faults = self._faults
         if not faults.plugged:
             raise DeviceGoneError("test rig: unplugged")
+        if faults.held:
+            return b""
         if self._late_reads:
             self._late_reads -= 1
             return b""

@@ -14,7 +14,9 @@ from hueflight.acquisition.session import Session
 from hueflight.acquisition.states import State
 from hueflight.devices.rig import Rig
 
-SETTLE_S = 0.3  #: after the end of a run, longest silence before its stream counts as read
+#: longest silence after which a stream counts as read that does not say that its run is over; a
+#: busy machine may bring nothing for long, and what comes later would count as lost
+SETTLE_S = 2.0
 
 
 def end_run(session: Session) -> State:

@@ -298,6 +298,26 @@ def test_no_room_is_refused_before_the_run(
         acquisition.close()
 
 
+def test_the_end_of_a_stream_that_comes_late_is_not_lost(
+    rig: FaultyRig, fast: hf.Instrument
+) -> None:
+    """A busy machine may bring the last frames of a run a second after its end."""
+    acquisition = Acquisition(rig.connect, fast)
+    try:
+        future = acquisition.run(RunPlan())
+        until(lambda: acquisition.snapshot.run_frames > 20, "frames come")
+        rig.faults.held = True
+        time.sleep(0.1)
+        acquisition.stop()
+        time.sleep(1.0)
+        rig.faults.held = False
+        result = future.result(WAIT_S)
+    finally:
+        acquisition.close()
+    assert result.totals.losses.undelivered == 0
+    assert result.totals.delivered == rig.model.sent.frames
+
+
 @pytest.mark.parametrize(
     "seeds",
     [range(8), pytest.param(range(8, 208), marks=pytest.mark.slow)],

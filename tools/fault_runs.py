@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import multiprocessing
 import os
 import sys
@@ -48,6 +49,12 @@ def results(seeds: Iterator[int], *, jobs: int, build: Path, keep: bool) -> Iter
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
             yield from (future.result() for future in done)
+
+
+def read_log(path: Path) -> list[FaultResult]:
+    """Results in a log; of runs of the same seed, the last one."""
+    found = [FaultResult(**json.loads(line)) for line in path.read_text().splitlines()]
+    return sorted({result.seed: result for result in found}.values(), key=lambda each: each.seed)
 
 
 def summary(found: list[FaultResult], command: str) -> str:
@@ -94,8 +101,22 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="runs at the same time")
     parser.add_argument("--keep", action="store_true", help="keep the folder of every run")
     parser.add_argument("--log", type=Path, help="file for one line of JSON per run, appended to")
+    parser.add_argument("--read", type=Path, help="sum up the runs of such a file, run nothing")
     parser.add_argument("--docs", action="store_true", help="write docs/results/fault-runs.inc")
     chosen = parser.parse_args()
+    found = read_log(chosen.read) if chosen.read is not None else run(chosen)
+    if not found:
+        return
+    command = f"python tools/dev.py faults --seed {found[0].seed} --runs {len(found)}"
+    text = summary(found, command)
+    print(text)
+    if chosen.docs:
+        (ROOT / "docs/results/fault-runs.inc").write_text(text)
+    raise SystemExit(any(result.failure for result in found))
+
+
+def run(chosen: argparse.Namespace) -> list[FaultResult]:
+    """Make the runs that are asked for."""
     if missing := missing_packages():
         raise SystemExit(f"the Debian packages {' '.join(missing)} are needed")
     if os.geteuid() != 0:
@@ -119,15 +140,7 @@ def main() -> None:
                     file.write(result.as_json() + "\n")
     except KeyboardInterrupt:
         print("ended")
-    found.sort(key=lambda result: result.seed)
-    if not found:
-        return
-    command = f"python tools/dev.py faults --seed {chosen.seed} --runs {len(found)}"
-    text = summary(found, command)
-    print(text)
-    if chosen.docs:
-        (ROOT / "docs/results/fault-runs.inc").write_text(text)
-    raise SystemExit(any(result.failure for result in found))
+    return sorted(found, key=lambda result: result.seed)
 
 
 if __name__ == "__main__":

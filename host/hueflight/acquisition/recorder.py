@@ -15,6 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hueflight.acquisition.delay_histogram import DelayHistogram
 from hueflight.acquisition.plan import CaptureError, RunPlan
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
@@ -51,6 +52,8 @@ class Recorder:
         between two packets; it goes on in a new segment when there is room.
     on_event : callable, optional
         Receives the name and the details of what happens, in the thread of the recorder.
+    write_delays : DelayHistogram, optional
+        Counts the times from a piece's arrival until it is written.
 
     Attributes
     ----------
@@ -76,6 +79,7 @@ class Recorder:
         queue_bytes: int = QUEUE_BYTES,
         min_free_bytes: int = MIN_FREE_BYTES,
         on_event: Callable[[str, dict[str, Any]], None] | None = None,
+        write_delays: DelayHistogram | None = None,
     ) -> None:
         if plan.path is None:
             raise CaptureError("a recorder needs a plan with a path")
@@ -96,7 +100,8 @@ class Recorder:
                 f"can't start {self.path}: {error.strerror or error}: choose another folder or "
                 "mend the disk"
             ) from error
-        self._queue: deque[bytes] = deque()
+        self._queue: deque[tuple[bytes, float]] = deque()  # pieces, and when they came
+        self._write_delays = write_delays or DelayHistogram()
         self._queue_limit = queue_bytes
         self._queued = 0
         self._skipped_bytes = self._offered_bytes = 0
@@ -128,7 +133,7 @@ class Recorder:
                     "wait for it"
                 )
                 return
-            self._queue.append(piece)
+            self._queue.append((piece, time.monotonic()))
             self._queued += len(piece)
             self._changed.notify()
 
@@ -186,11 +191,14 @@ class Recorder:
                 if not self._queue and self._closing:
                     break
                 batch, size = [], 0
-                while self._queue and (not batch or size + len(self._queue[0]) <= BATCH_BYTES):
+                while self._queue and (not batch or size + len(self._queue[0][0]) <= BATCH_BYTES):
                     batch.append(self._queue.popleft())
-                    size += len(batch[-1])
+                    size += len(batch[-1][0])
                 self._queued -= size
-            self._put(b"".join(batch))
+            self._put(b"".join(piece for piece, _ in batch))
+            if not self.paused:
+                now = time.monotonic()
+                self._write_delays.add(*(now - came_s for _, came_s in batch))
         try:
             self._writer.close()
         except (RecordingError, OSError) as error:

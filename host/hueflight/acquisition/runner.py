@@ -13,6 +13,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from hueflight.acquisition.connecting import lose_rig, reconnect, search
+from hueflight.acquisition.delay_histogram import DelayHistogram
 from hueflight.acquisition.ending import end_run, fail_run, finish, give_up
 from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.acquisition.run_settings import RunSettings
@@ -94,6 +95,11 @@ class Acquisition:
     def snapshot(self) -> Snapshot:
         """Present status; a new object whenever it changes."""
         return self._session.snapshot
+
+    @property
+    def write_delays(self) -> DelayHistogram:
+        """Times from the arrival of data until they are written, of all recordings."""
+        return self._session.write_delays
 
     def run(self, plan: RunPlan, /) -> Future[RunResult]:
         """Have a plan run next; a live run makes way, another run is waited for.

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
+from hueflight.acquisition.delay_histogram import DelayHistogram
 from hueflight.acquisition.frame_accounting import RunTotals
 from hueflight.acquisition.plan import Gap, RunPlan, RunResult
 from hueflight.acquisition.recorder import Recorder
@@ -107,6 +108,7 @@ class Session:
         self.snapshot = Snapshot(problem="looking for the camera")
         self._published: tuple[object, ...] = (None, None, None)
         self._published_s = 0.0
+        self.write_delays = DelayHistogram()
 
     @property
     def resting_state(self) -> State:

@@ -117,6 +117,7 @@ def _begin(session: Session, rig: Rig, plan: RunPlan, future: Future[RunResult] 
             queue_bytes=session.settings.recorder_queue_bytes,
             min_free_bytes=session.settings.min_free_bytes,
             on_event=session.on_event,
+            write_delays=session.write_delays,
         )
     session.label = session.label + 1 & Capture.VALUE_MAX
     session.run = Run(plan, session.instrument, session.settings, label=session.label)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 
+from hueflight.acquisition.delay_histogram import DelayHistogram
 from hueflight.daemon.picture import Picture
 
 KEPT = 2048
@@ -13,9 +14,16 @@ QUANTILES = (("p50", 0.5), ("p95", 0.95), ("p99", 0.99))
 
 
 class LatencyMeter:
-    """Latest times from last photon to the browser's answer that the picture is on the screen."""
+    """Latest times from last photon to the browser's answer that the picture is on the screen.
+
+    Attributes
+    ----------
+    delays : DelayHistogram
+        All of these times since the program began.
+    """
 
     def __init__(self) -> None:
+        self.delays = DelayHistogram()
         self._seen: deque[tuple[float, tuple[float, float, float]]] = deque(maxlen=KEPT)
 
     def shown(self, picture: Picture, now_s: float) -> None:
@@ -38,6 +46,7 @@ class LatencyMeter:
                 ),
             )
         )
+        self.delays.add(now_s - picture.received_s)
         while self._seen[0][0] < now_s - WINDOW_S:
             self._seen.popleft()
 

@@ -6,17 +6,21 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from importlib.metadata import version
 from typing import Any
 
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
+    HistogramMetricFamily,
     InfoMetricFamily,
     Metric,
 )
 from prometheus_client.registry import Collector
+from prometheus_client.utils import floatToGoString
 
+from hueflight.acquisition.delay_histogram import DelayHistogram
 from hueflight.daemon.service import Service
 
 
@@ -42,16 +46,45 @@ class _Status(Collector):
 
     def collect(self) -> Iterator[Metric]:
         status = self._service.status()
-        facts = {"name": status["name"], "instrument": status["instrument"]}
+        facts = {
+            "name": status["name"],
+            "instrument": status["instrument"],
+            "version": version("hueflight"),
+        }
         yield InfoMetricFamily("hueflight", "The daemon and its instrument", value=facts)
         yield from _counters(status)
         yield from _gauges(status)
+        yield GaugeMetricFamily(
+            "hueflight_disk_free_bytes",
+            "Space that is free under the data folder",
+            value=float(self._service.disk.free_bytes),
+        )
+        yield _delays(
+            "picture_delay",
+            "Time from a picture's last photon until a browser shows it",
+            self._service.latencies.delays,
+        )
+        yield _delays(
+            "write_delay",
+            "Time from the arrival of data until they are written to the recording",
+            self._service.acquisition.write_delays,
+        )
         cpu = CounterMetricFamily(
             "hueflight_thread_cpu_seconds", "CPU time by thread", labels=["thread"]
         )
         for name, seconds in thread_cpu_s().items():
             cpu.add_metric([name], seconds)
         yield cpu
+
+
+def _delays(name: str, text: str, delays: DelayHistogram) -> HistogramMetricFamily:
+    steps, sum_s = delays.cumulative()
+    return HistogramMetricFamily(
+        f"hueflight_{name}_seconds",
+        text,
+        buckets=[(floatToGoString(bound), count) for bound, count in steps],
+        sum_value=sum_s,
+    )
 
 
 def _counters(status: dict[str, Any]) -> Iterator[Metric]:

@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hueflight.cli.output import progress, show
 from hueflight.errors import HueflightError
 from hueflight.files import refuse_existing
 
+if TYPE_CHECKING:
+    from hueflight.report.experiments import Findings
+
 LEAST_FRAMES = 100
-PAGE, NUMBERS = "index.html", "figures.json"
+PAGE, NUMBERS, PIXELS = "index.html", "figures.json", "pixels.html"
 
 
 def demo(
@@ -26,8 +30,9 @@ def demo(
     Parameters
     ----------
     out : Path, optional
-        Folder for the page (index.html), its pictures and its numbers (figures.json). A report
-        that is there already is replaced.
+        Folder for the page (index.html), its pictures, its numbers (figures.json) and a page on
+        which every pixel can be looked at (pixels.html). A report that is there already is
+        replaced.
     frames : int, default 10000
         Number of frames in each capture, at least 100. The published captures had 10000.
     seed : int, default 1
@@ -44,11 +49,30 @@ def demo(
     if not (out / NUMBERS).exists():  # an earlier report is replaced
         refuse_existing(out / PAGE, overwrite=overwrite)
     try:
-        from hueflight.report import make_report
+        from hueflight.report import FurtherPage, make_report
     except ImportError as error:
         raise HueflightError(
             f"the report needs {error.name}, which is not installed: "
             "pip install 'hueflight[report]'"
         ) from None
-    numbers = make_report(out, frames=frames, seed=seed, progress=progress(json_wanted=json))
+    numbers = make_report(
+        out,
+        frames=frames,
+        seed=seed,
+        progress=progress(json_wanted=json),
+        pages={PIXELS: FurtherPage("Look at any pixel of Fig. 1", _pixels)},
+    )
     show(f"Report: {out / PAGE}", numbers, json_wanted=json)
+
+
+def _pixels(findings: Findings) -> str:
+    """Page on which each pixel of the scene of Fig. 1 can be looked at."""
+    from hueflight.daemon.viewer import viewer_page
+
+    return viewer_page(
+        title="The scene of Fig. 1, by the joint fit",
+        instrument=findings.instrument,
+        image=findings.main.joint,
+        histogram=findings.main.histogram,
+        calibration=findings.calibration,
+    )

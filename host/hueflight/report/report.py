@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
@@ -19,6 +19,7 @@ from hueflight.files import make_parent, replace_file
 from hueflight.model.instrument import Instrument
 from hueflight.progress import Progress, Silent, tracked
 from hueflight.report import figures
+from hueflight.report.errors import image_errors, stated_deviations_hold
 from hueflight.report.experiments import RANGE_PHOTONS, Findings, run_all
 from hueflight.report.page import picture_section, png, style_sheet
 
@@ -44,6 +45,24 @@ class Section:
     text: str
     draw: Callable[[Findings], Figure]
 
+
+@dataclass(frozen=True)
+class FurtherPage:
+    """A page beside the report, to which it links.
+
+    Attributes
+    ----------
+    words : str
+        What one sees there: the text of the link.
+    make : callable
+        Function that makes the page from the findings.
+    """
+
+    words: str
+    make: Callable[[Findings], str]
+
+
+FEW_FRAMES = 100  #: of the capture from which the table compares depth from few photons
 
 SECTIONS = (
     Section(
@@ -122,6 +141,7 @@ def make_report(
     frames: int = 10_000,
     seed: int = 1,
     progress: Progress | None = None,
+    pages: Mapping[str, FurtherPage] | None = None,
 ) -> dict[str, float]:
     """Repeat the paper's experiments with the simulated instrument and write a report.
 
@@ -140,6 +160,8 @@ def make_report(
         Seed of the imperfections and of the photon noise.
     progress : Progress or None
         Display of the progress; None for none.
+    pages : mapping of str to FurtherPage, optional
+        Further pages by file name.
 
     Returns
     -------
@@ -157,7 +179,11 @@ def make_report(
         replace_file(out / f"{section.name}.png", pictures[section.name])
     numbers = key_numbers(findings)
     replace_file(out / "figures.json", json.dumps(numbers, indent=2) + "\n")
-    replace_file(out / "index.html", _page(findings, numbers, pictures))
+    further = pages or {}
+    for name, page in further.items():
+        replace_file(out / name, page.make(findings))
+    links = {name: page.words for name, page in further.items()}
+    replace_file(out / "index.html", _page(findings, numbers, pictures, links))
     return numbers
 
 
@@ -165,6 +191,13 @@ def key_numbers(findings: Findings) -> dict[str, float]:
     """Numbers that the table of the report compares with the paper, by name."""
     row, joint = findings.background_row, findings.joint_row
     ranging, wire = findings.ranging, findings.wire
+    few = findings.frame_series[FEW_FRAMES]
+    errors = {
+        "paper": image_errors(findings.main, findings.main.image),
+        "joint": image_errors(findings.main, findings.main.joint),
+        "few_paper": image_errors(few, few.image),
+        "few_pooled": image_errors(few, few.joint),
+    }
     return {
         "frames": findings.main.frames,
         "background_row_deviation_cm": 100 * row.deviation,
@@ -176,6 +209,16 @@ def key_numbers(findings: Findings) -> dict[str, float]:
         "ranging_deviation_cm": 100 * ranging.deviation,
         "ranging_joint_deviation_cm": 100 * ranging.joint_deviation,
         "ranging_bound_cm": 100 * float(np.mean(ranging.bound)),
+        "reflectance_error_percent": 100 * errors["paper"].reflectance,
+        "reflectance_joint_error_percent": 100 * errors["joint"].reflectance,
+        "few_frames_error_cm": 100 * errors["few_paper"].depth,
+        "few_frames_pooled_error_cm": 100 * errors["few_pooled"].depth,
+        "few_frames_known_percent": 100 * errors["few_paper"].known,
+        "few_frames_pooled_known_percent": 100 * errors["few_pooled"].known,
+        "within_deviation_percent": 100
+        * stated_deviations_hold(findings.main, findings.main.image),
+        "within_joint_deviation_percent": 100
+        * stated_deviations_hold(findings.main, findings.main.joint),
         "wire_frames": wire.frames,
         "wire_identical": float(wire.identical),
         "wire_bytes_per_frame": wire.bytes_per_frame,
@@ -184,7 +227,12 @@ def key_numbers(findings: Findings) -> dict[str, float]:
     }
 
 
-def _page(findings: Findings, numbers: dict[str, float], pictures: dict[str, bytes]) -> str:
+def _page(
+    findings: Findings,
+    numbers: dict[str, float],
+    pictures: dict[str, bytes],
+    links: dict[str, str],
+) -> str:
     """Whole HTML page, with the pictures embedded."""
     template = (resources.files("hueflight.report") / "page.html").read_text("utf-8")
     sections = "\n".join(
@@ -196,6 +244,10 @@ def _page(findings: Findings, numbers: dict[str, float], pictures: dict[str, byt
         version=version("hueflight"),
         frames=findings.main.frames,
         table=_table(numbers),
+        links="".join(
+            f'<a class="onward" href="{html.escape(name)}">{html.escape(words)}</a>'
+            for name, words in links.items()
+        ),
         wire_words=(
             f"{wire.frames} frames were drawn exposure by exposure, encoded as packets "
             f"({wire.bytes_per_frame:,.0f} bytes each at occupancy {numbers['occupancy']:.2f}), "
@@ -208,13 +260,16 @@ def _page(findings: Findings, numbers: dict[str, float], pictures: dict[str, byt
 
 def _table(numbers: dict[str, float]) -> str:
     """Rows of the HTML table that compares the numbers with the paper's."""
+    few = f"{FEW_FRAMES} frames"
     rows = [
         (
             "Depth, background row 139",
             "3.41 cm",
-            f"{numbers['background_row_deviation_cm']:.2f} cm",
-            f"{numbers['background_row_joint_deviation_cm']:.2f} cm",
-            f"{numbers['background_row_bound_cm']:.2f} cm",
+            *_with_bound(
+                numbers["background_row_deviation_cm"],
+                numbers["background_row_joint_deviation_cm"],
+                numbers["background_row_bound_cm"],
+            ),
             f"Standard deviation over the row at {numbers['frames']:,.0f} frames, "
             f"{numbers['background_row_photons']:,.0f} signal photons per pixel. The paper's "
             "value corresponds to about 300 photons; it does not state how many arrived. The "
@@ -223,13 +278,51 @@ def _table(numbers: dict[str, float]) -> str:
         (
             "Range, single pixel, 55 ps",
             "0.64 cm",
-            f"{numbers['ranging_deviation_cm']:.2f} cm",
-            f"{numbers['ranging_joint_deviation_cm']:.2f} cm",
-            f"{numbers['ranging_bound_cm']:.2f} cm",
+            *_with_bound(
+                numbers["ranging_deviation_cm"],
+                numbers["ranging_joint_deviation_cm"],
+                numbers["ranging_bound_cm"],
+            ),
             "Standard deviation of the residual over distances from 0.1 to 2.5 m, about "
             f"{RANGE_PHOTONS:,} photons each. The paper does not state the number of photons.",
+        ),
+        (
+            "Reflectance, nine bands",
+            "–",
+            f"{numbers['reflectance_error_percent']:.1f} %",
+            f"{numbers['reflectance_joint_error_percent']:.1f} %",
+            "–",
+            "Root mean square error over all bands of the pixels that light reaches, in percent of "
+            "white. The paper shows spectra but states no error.",
+        ),
+        (
+            f"Depth from {few}",
+            "–",
+            f"{numbers['few_frames_error_cm']:.1f} cm",
+            f"{numbers['few_frames_pooled_error_cm']:.1f} cm",
+            "–",
+            "Median error of the pixels that light reaches; pooled over neighbors (second). "
+            f"{numbers['few_frames_known_percent']:.0f} % and "
+            f"{numbers['few_frames_pooled_known_percent']:.0f} % of them have a depth.",
+        ),
+        (
+            "Depths within their stated deviation",
+            "–",
+            f"{numbers['within_deviation_percent']:.0f} %",
+            f"{numbers['within_joint_deviation_percent']:.0f} %",
+            "68 %",
+            "Pixels that light reaches and that have no flag. The paper states no deviations.",
         ),
     ]
     return "\n".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+
+
+def _with_bound(published_method: float, joint: float, bound: float) -> tuple[str, str, str]:
+    """Cells of two deviations with their ratios to the bound, and of the bound."""
+    return (
+        f"{published_method:.2f} cm ({published_method / bound:.2f} ×)",
+        f"{joint:.2f} cm ({joint / bound:.2f} ×)",
+        f"{bound:.2f} cm",
     )

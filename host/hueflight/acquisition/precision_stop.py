@@ -117,7 +117,7 @@ class PrecisionMonitor:
     def _look(self, counts: NDArray[np.uint32], frames: int) -> tuple[float, bool, float]:
         calibration, rule = self._stop.calibration, self._stop.rule
         known = None if calibration.instrument.sensor.reports_empty else frames
-        image = reconstruct(counts, calibration, frames=known, mixed=False)
+        image = reconstruct(counts, calibration, frames=known, mixed=False, second_returns=False)
         wanted = frames_needed(image, rule, frames)
         following = min(max(wanted, LEAST_GROWTH * frames), MOST_GROWTH * frames)
         return share_known(image, rule), seen_enough(image, rule), following

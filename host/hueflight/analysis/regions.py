@@ -25,6 +25,7 @@ UNRELIABLE = (
     | Quality.MISFIT
     | Quality.SKIPPED
     | Quality.MIXED
+    | Quality.TWO_RETURNS
     | Quality.CONTRADICTED
     | Quality.PILED_UP
 )

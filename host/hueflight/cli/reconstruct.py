@@ -46,6 +46,7 @@ def reconstruct(
     bands: str | None = None,
     region: str | None = None,
     mixed: bool | None = None,
+    second_returns: bool | None = None,
     threads: int = 1,
     dataset: str | None = None,
     axes: str = AXES,
@@ -104,6 +105,10 @@ def reconstruct(
     mixed : bool, optional
         Find the pixels at edges that see two surfaces, flag them, and state both depths. By default
         wherever the method is joint and the instrument has a lens.
+    second_returns : bool, optional
+        Fit two surfaces to pixels whose counts show more than one, as behind glass, and state both
+        depths. By default wherever the method is joint, except for what departures from the
+        calibration explain that the whole picture shows.
     threads : int, default 1
         Number of threads that share the pixels of an image; with several captures, each process
         has as many.
@@ -149,6 +154,7 @@ def reconstruct(
         "bands": None if bands is None else [name.strip() for name in bands.split(",")],
         "region": None if region is None else _slices(region),
         "mixed": mixed,
+        "second_returns": second_returns,
         "threads": None if threads == 1 else threads,
     }
     options |= {name: value for name, value in given.items() if value is not None}

@@ -66,6 +66,7 @@ def reconstruct(
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
     mixed: bool | None = None,
+    second_returns: bool | None = None,
 ) -> xr.Dataset:
     """Reconstruct depth and reflectance in every band from one histogram per pixel.
 
@@ -111,6 +112,11 @@ def reconstruct(
         Find the pixels at edges that see two surfaces, and give them the depths of both. By
         default wherever the method is ``"joint"`` and the instrument has a lens, which tells the
         angle between pixels.
+    second_returns : bool, optional
+        Fit two surfaces to pixels whose counts show more than one, as behind glass. By default
+        wherever the method is ``"joint"``, except for what a departure from the calibration
+        explains that the rest of the picture shows as well; True takes all of it for surfaces, as
+        where the whole picture lies behind a pane.
 
     Returns
     -------
@@ -118,7 +124,9 @@ def reconstruct(
         Variables `depth`, `depth_std` (m), `reflectance`, `reflectance_std`, `background` (counts
         per code), `photons` and `quality`; what can't be known is NaN and flagged. Method
         ``"pooled"`` adds `resolution`, the width in pixels of what an estimate rests on. Where
-        mixed pixels were looked for, there are `second_depth`, `second_depth_std` and `near_share`.
+        mixed pixels or second returns were looked for, there are `second_depth`,
+        `near_reflectance` and `second_reflectance`, with their deviations, and for mixed pixels
+        `near_share`.
 
     Raises
     ------
@@ -151,6 +159,7 @@ def reconstruct(
         skips=skips,
         threads=threads,
         mixed=_finds_mixed(mixed, calibration, honors=estimator.honors),
+        second_returns=_second_returns(second_returns, honors=estimator.honors),
     )
     check_options(method, estimator, options)
     if options.background == "sloped":
@@ -174,7 +183,7 @@ def _background_of(
     numbers = np.flatnonzero(wanted & calibration.usable)
     some = np.zeros(wanted.shape, bool)
     some.flat[numbers[:: max(1, numbers.size // MOST_PIXELS)]] = True
-    plain = replace(options, background=FLAT, region=some, mixed=False)
+    plain = replace(options, background=FLAT, region=some, mixed=False, second_returns=False)
     flat = joint.estimate(prepared, calibration, plain)
     return find_background(
         prepared,
@@ -184,6 +193,13 @@ def _background_of(
         pileup_correction=options.pileup_correction,
         threads=options.threads,
     )
+
+
+def _second_returns(wanted: bool | None, *, honors: frozenset[str]) -> bool | Literal["auto"]:
+    """Decide whether second returns are looked for."""
+    if wanted is None:
+        return "auto" if "second_returns" in honors else False
+    return wanted
 
 
 def _finds_mixed(wanted: bool | None, calibration: Calibration, *, honors: frozenset[str]) -> bool:
@@ -232,6 +248,7 @@ def reconstruct_packets(
     skips: Skips = DEFAULT_SKIPS,
     threads: int = 1,
     mixed: bool | None = None,
+    second_returns: bool | None = None,
 ) -> tuple[xr.Dataset, IngestReport]:
     """Reconstruct depth and reflectance in every band from a stream of packets, by the joint fit.
 
@@ -256,6 +273,8 @@ def reconstruct_packets(
         Threads that share the pixels, first of counting, then of fitting.
     mixed : bool, optional
         Find the pixels at edges that see two surfaces; see `reconstruct`.
+    second_returns : bool, optional
+        Fit two surfaces where one does not explain the counts; see `reconstruct`.
 
     Returns
     -------
@@ -287,5 +306,6 @@ def reconstruct_packets(
         skips=skips,
         threads=threads,
         mixed=mixed,
+        second_returns=second_returns,
     )
     return image, report

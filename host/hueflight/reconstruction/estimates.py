@@ -42,6 +42,11 @@ class Estimates:
     second_depth, second_depth_std : ndarray of float, shape (row, col), or None
         Depth of the farther surface of pixels that see two and its standard deviation, else NaN,
         m. None from a method that looks for one surface only.
+    near_reflectance, near_reflectance_std : ndarray of float, shape (band, row, col), or None
+        Reflectance of the nearer surface alone of pixels that see two and its standard deviation;
+        NaN where it is not known. None likewise.
+    second_reflectance, second_reflectance_std : ndarray of float, shape (band, row, col), or None
+        The same of the farther surface.
     near_share, near_share_std : ndarray of float, shape (row, col), or None
         Share of a mixed pixel's area that the near surface covers, and its standard deviation; NaN
         where it is not known. None likewise.
@@ -61,5 +66,9 @@ class Estimates:
     fit_p_value: NDArray[np.float64] | None = None
     second_depth: NDArray[np.float64] | None = None
     second_depth_std: NDArray[np.float64] | None = None
+    near_reflectance: NDArray[np.floating] | None = None
+    near_reflectance_std: NDArray[np.floating] | None = None
+    second_reflectance: NDArray[np.floating] | None = None
+    second_reflectance_std: NDArray[np.floating] | None = None
     near_share: NDArray[np.float64] | None = None
     near_share_std: NDArray[np.float64] | None = None

@@ -21,6 +21,10 @@ UNITS = {
     "other_depth": "m",
     "second_depth": "m",
     "second_depth_std": "m",
+    "near_reflectance": "1",
+    "near_reflectance_std": "1",
+    "second_reflectance": "1",
+    "second_reflectance_std": "1",
     "near_share": "1",
     "near_share_std": "1",
     "reflectance": "1",
@@ -37,6 +41,10 @@ LONG_NAMES = {
     "other_depth": "depth of a second lag that is nearly as likely, of pixels so flagged",
     "second_depth": "depth of the farther surface of pixels that see two",
     "second_depth_std": "standard deviation of second_depth",
+    "near_reflectance": "reflectance of the nearer surface alone of pixels that see two",
+    "near_reflectance_std": "standard deviation of near_reflectance",
+    "second_reflectance": "reflectance of the farther surface of pixels that see two",
+    "second_reflectance_std": "standard deviation of second_reflectance",
     "near_share": "share of a mixed pixel that the near surface covers",
     "near_share_std": "standard deviation of near_share",
     "reflectance_std": "standard deviation of reflectance",
@@ -78,9 +86,9 @@ def as_image(
         dims = cube if values.ndim == 3 else plane
         ordered = np.moveaxis(values, 0, -1) if values.ndim == 3 else values
         attributes = {"units": unit}
-        if name == "reflectance":
+        if name.endswith("reflectance"):
             attributes |= correction_attributes(range_correction)
-        else:
+        if name != "reflectance":
             attributes["long_name"] = LONG_NAMES[name]
         variables[name] = (dims, ordered.astype(np.float32), attributes)
     variables["quality"] = (

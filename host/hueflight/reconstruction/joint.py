@@ -37,16 +37,27 @@ from hueflight.reconstruction.deviations import (
     total_variance,
 )
 from hueflight.reconstruction.estimates import Estimates
+from hueflight.reconstruction.fitted_counts import FittedCounts
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions, Skips
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import relative_range, widened
-from hueflight.reconstruction.separation import FittedCounts, with_both_depths
+from hueflight.reconstruction.second_returns import with_second_returns
+from hueflight.reconstruction.separation import with_both_depths
 from hueflight.reconstruction.stored_counts import StoredCounts
 
 reads_stored = True  #: counts that stay on disk are read in blocks
 #: options that change the result and that the method takes into account
-honors = frozenset({"depth_range", "range_correction", "pileup_correction", "background", "mixed"})
+honors = frozenset(
+    {
+        "depth_range",
+        "range_correction",
+        "pileup_correction",
+        "background",
+        "mixed",
+        "second_returns",
+    }
+)
 
 BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
 LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
@@ -215,10 +226,19 @@ def estimate(
         pileup_correction=options.pileup_correction,
         assessed=skips.of_fit(calibration).assessment,
     )
-    if not options.mixed:
+    if not (options.mixed or options.second_returns):
         return estimates
-    counts = FittedCounts(light, frames, tables, options.range_correction)
-    return with_both_depths(estimates, counts, calibration)
+    scale = calibration.photon_scale(
+        photons, exposures, pileup_correction=options.pileup_correction
+    )
+    white = calibration.brightness.sum() / scale
+    counts = FittedCounts(light, frames, white, tables, options.range_correction)
+    if options.mixed:
+        estimates = with_both_depths(estimates, counts, calibration)
+    if options.second_returns:
+        everywhere = options.second_returns is True
+        estimates = with_second_returns(estimates, counts, calibration, everywhere=everywhere)
+    return estimates
 
 
 def fit_chosen(

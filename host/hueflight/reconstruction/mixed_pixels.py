@@ -53,12 +53,17 @@ class Plateaus:
         Signal relative to the reference, not corrected for the distance.
     near_variance, far_variance : ndarray of float, shape (band, pixel)
         Their variances.
+    near_spread, far_spread : ndarray of float, shape (band, pixel)
+        Variances with which they tell the light of another pixel of the surface: what the
+        neighbors differ by besides their noise is added.
     """
 
     near: NDArray[np.float64]
     far: NDArray[np.float64]
     near_variance: NDArray[np.float64]
     far_variance: NDArray[np.float64]
+    near_spread: NDArray[np.float64]
+    far_spread: NDArray[np.float64]
 
     def take(self, chosen: NDArray[np.bool_]) -> Plateaus:
         """Return some of the pixels.
@@ -163,8 +168,12 @@ def plateaus_of(
     count = members.sum(axis=-1, keepdims=True, dtype=np.float32).clip(1)
     sums = members.astype(np.float32) @ light / count  # pixel, surface, plane
     means = sums.transpose(1, 2, 0).astype(np.float64)  # surface, plane, pixel
-    variances = means[:, bands:] / count.transpose(1, 2, 0)
-    return Plateaus(means[0, :bands], means[1, :bands], variances[0], variances[1])
+    many = count.transpose(1, 2, 0).astype(np.float64)
+    variances = means[:, bands:] / many
+    squares = (members.astype(np.float32) @ light[..., :bands] ** 2 / count).transpose(1, 2, 0)
+    scatter = (squares - means[:, :bands] ** 2) * many / np.maximum(many - 1, 1)
+    spread = variances + np.maximum(scatter - means[:, bands:], 0.0)
+    return Plateaus(*means[:, :bands], *variances, *spread)
 
 
 def near_share(

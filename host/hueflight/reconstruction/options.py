@@ -116,6 +116,9 @@ class EstimatorOptions:
         Threads that a method may use.
     mixed : bool
         Find the pixels at edges that see two surfaces, of an instrument with a lens.
+    second_returns : bool or {"auto"}
+        Fit two surfaces to pixels whose counts one surface does not explain; "auto" to leave out
+        those that departures of the whole picture explain.
     """
 
     depth_range: tuple[float, float] | None = None
@@ -126,11 +129,19 @@ class EstimatorOptions:
     skips: Skips = DEFAULT_SKIPS
     threads: int = 1
     mixed: bool = False
+    second_returns: bool | Literal["auto"] = False
 
 
 #: fields of `EstimatorOptions` that change the result, so that a method must not ignore them
 BINDING_OPTIONS = frozenset(
-    {"depth_range", "range_correction", "pileup_correction", "background", "mixed"}
+    {
+        "depth_range",
+        "range_correction",
+        "pileup_correction",
+        "background",
+        "mixed",
+        "second_returns",
+    }
 )
 
 

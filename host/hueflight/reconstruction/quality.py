@@ -38,6 +38,9 @@ class Quality(IntFlag):
     MIXED : int
         The pixel lies at an edge and sees the surfaces on both sides: `depth` is that of the near
         one, and `second_depth` that of the far one.
+    TWO_RETURNS : int
+        The counts of the pixel itself show two surfaces, as of glass in front of a wall: `depth` is
+        that of the near one, and `second_depth` that of the far one.
     CONTRADICTED : int
         The pixel's own photons show another depth than those of its neighbors; the depth is that
         of its own.
@@ -56,6 +59,7 @@ class Quality(IntFlag):
     OUT_OF_RANGE = 128
     MISFIT = 256
     MIXED = 512
+    TWO_RETURNS = 1024
     CONTRADICTED = 2048
     PILED_UP = 4096
     STARVED = LOW_SIGNAL

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 from typing import Any
 
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from hueflight.calibration import Calibration
 from hueflight.errors import ImageError
 from hueflight.files.image_schema import SERIES_DIM, require_image
-from hueflight.fit.tables import ModelTables
-from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
-from hueflight.model.pileup import coates_correction, photons_per_period
+from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.edge_fit import sees_both, waveforms
 from hueflight.reconstruction.edges import Edges, find_edges
 from hueflight.reconstruction.estimates import Estimates
+from hueflight.reconstruction.fitted_counts import FittedCounts, arrival_ns
 from hueflight.reconstruction.image import LONG_NAMES, UNITS
 from hueflight.reconstruction.mixed_pixels import (
     Plateaus,
@@ -43,28 +42,6 @@ ASKED = (
 LEAST_BACKGROUND = 0.02  #: share of a pixel's counts in the fit that both surfaces must match
 
 _Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class FittedCounts:
-    """Counts that estimates were made from, and how.
-
-    Attributes
-    ----------
-    light : ndarray, shape (row, col, bin)
-        Counts in time order.
-    frames : ndarray of float, shape (row, col), or None
-        Exposures; None where the loss of later photons of an exposure was left as it is.
-    tables : ModelTables
-        Tables of the fit.
-    range_correction : bool
-        Whether the estimates' reflectances are corrected for the distance.
-    """
-
-    light: NDArray[Any]
-    frames: _Floats | None
-    tables: ModelTables
-    range_correction: bool
 
 
 def with_both_depths(
@@ -105,7 +82,8 @@ def with_both_depths(
         mixed[asked] = _by_counts(
             edges.take(asked), plateaus.take(asked), estimates, signal, fitted, calibration
         )
-    edges, share, share_std = edges.take(mixed), share[mixed], share_std[mixed]
+    edges, plateaus = edges.take(mixed), plateaus.take(mixed)
+    share, share_std = share[mixed], share_std[mixed]
     found = spread_out(edges, depth.shape)
     share, share_std = stated_share(share, share_std, edges, depth.shape)
     quality = estimates.quality.copy()
@@ -121,6 +99,7 @@ def with_both_depths(
         reflectance_std[here] = widened(
             factor * signal_std[here], reflectance[here], edges.near, edges.near_std
         )
+    surfaces = _surface_light(edges, plateaus, fitted, calibration, reflectance.shape)
     return replace(
         estimates,
         depth=new_depth,
@@ -132,7 +111,33 @@ def with_both_depths(
         second_depth_std=found.far_std,
         near_share=share,
         near_share_std=share_std,
+        **surfaces,
     )
+
+
+def _surface_light(
+    edges: Edges,
+    plateaus: Plateaus,
+    fitted: FittedCounts,
+    calibration: Calibration,
+    shape: tuple[int, ...],
+) -> dict[str, NDArray[np.float32]]:
+    """Reflectances of the surfaces beside mixed pixels as cubes, NaN in all other pixels."""
+    cubes = {}
+    for surface, depth, depth_std, light, variance in (
+        ("near", edges.near, edges.near_std, plateaus.near, plateaus.near_spread),
+        ("second", edges.far, edges.far_std, plateaus.far, plateaus.far_spread),
+    ):
+        deviation = np.sqrt(variance)
+        if fitted.range_correction:
+            factor = relative_range(depth, calibration) ** 2
+            light = factor * light
+            deviation = widened(factor * deviation, light, depth, depth_std)
+        for name, values in (("reflectance", light), ("reflectance_std", deviation)):
+            cube = np.full(shape, np.nan, np.float32)
+            cube[:, edges.row, edges.col] = values
+            cubes[f"{surface}_{name}"] = cube
+    return cubes
 
 
 def _by_counts(
@@ -145,23 +150,14 @@ def _by_counts(
 ) -> NDArray[np.bool_]:
     """Tell the pixels whose counts need both surfaces."""
     here = edges.row, edges.col
+    numbers = np.ravel_multi_index(here, estimates.depth.shape)
     level = fitted.tables.wide
-    rates = None
-    if fitted.frames is not None:
-        frames = fitted.frames[here]
-        rates = photons_per_period(estimates.photons[here], frames, calibration.instrument)
-    light = coates_correction(fitted.light[here], rates).astype(np.float64)
+    light = fitted.of(numbers, estimates.photons, calibration)
     counts = fitted.tables.search.summed(fitted.tables.fine.summed(light))
-    assert estimates.white_photons is not None
-    white = estimates.white_photons[here]
-    if fitted.range_correction:
-        white = white * relative_range(estimates.depth[here], calibration) ** 2
-    photons = white[:, None] * calibration.brightness / calibration.brightness.sum()
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()[here]
+    photons = fitted.white_photons(numbers, calibration)
 
     def expected(depth: _Floats, light: _Floats) -> _Floats:
-        delays = (depth - calibration.distance) / along_axis + calibration.pixel_delay_ns[here]
-        return waveforms(level, delays, light.T * photons)
+        return waveforms(level, arrival_ns(depth, numbers, calibration), light.T * photons)
 
     background = estimates.background[here] * calibration.bins.span_ns / calibration.bin_width_ns
     background = np.maximum(background, LEAST_BACKGROUND * counts.sum(axis=-1))
@@ -230,6 +226,9 @@ def flag_mixed(
         "near_share": share,
         "near_share_std": share_std,
     }
+    for name in ("second_depth", "second_depth_std"):
+        if name in image:  # of second returns
+            changed[name] = np.where(found.mixed, changed[name], planes[name].values)
     variables: dict[str, Any] = {
         name: (
             ("row", "col"),
@@ -288,7 +287,7 @@ def _checked_angle(image: xr.Dataset, calibration: Calibration, pixel_angle: flo
     for name in ("depth_std", "reflectance_std", "band_name"):
         if name not in image.variables:
             raise ImageError(f"the image has no {name}, which is needed to find mixed pixels")
-    if "second_depth" in image:
+    if "near_share" in image:
         raise ImageError(
             "the mixed pixels of this image have been found already: see its second_depth"
         )

@@ -181,6 +181,32 @@ def bias_of(pixels: FittedPixels, model: SharedModel, sizes: _Floats) -> _Floats
     return bias
 
 
+def explained_by(pixels: FittedPixels, model: SharedModel, sizes: _Floats) -> _Floats:
+    """Return how much better departures explain each pixel, to second order.
+
+    Parameters
+    ----------
+    pixels : FittedPixels
+        The pixels.
+    model : SharedModel
+        The model that was fitted, and the directions.
+    sizes : ndarray of float, shape (direction,)
+        Sizes of the departures.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel,)
+        Twice the log-likelihood that they add, after the pixel's own parameters have followed.
+    """
+    gain = np.empty(len(pixels.counts))
+    for chosen, nuisance, directions, residual in _chunks(pixels, model):
+        change = np.einsum("d,pdi->pi", sizes, directions)[:, None]
+        inverse, mixed = _projection(nuisance, change)
+        left = (change - (inverse @ mixed).transpose(0, 2, 1) @ nuisance)[:, 0]
+        gain[chosen] = (left * (2 * residual - left)).sum(axis=-1)
+    return gain
+
+
 def expected_sum(pixels: FittedPixels, model: SharedModel, edges_ns: _Floats) -> _Floats:
     """Sum the expected counts of all pixels at other bins.
 

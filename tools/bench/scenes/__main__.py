@@ -24,6 +24,7 @@ import edges
 import pileup
 import pooled_checks
 import returns
+import second_returns
 from _measure import table
 from acceptance import Group, Row
 
@@ -37,6 +38,7 @@ GROUPS: dict[str, Group] = {
     "pooled": pooled_checks.rows,
     "pileup": pileup.rows,
     "as-they-were": as_they_were.rows,
+    "second_returns": second_returns.rows,
 }
 PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
 

@@ -1,0 +1,405 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fit of two surfaces in one pixel, as of a pane of glass in front of a wall.
+
+The likelihood of two delays, each with an amplitude of every band, has many maxima: pulses of one
+surface pass for those of another band of the other surface. It is therefore looked at on all pairs
+of a grid of delays, with amplitudes by expectation maximisation; every local maximum that is
+among the best is refined by scoring. The choice between the refined pairs takes into account that
+spectra of surfaces are smooth, which the likelihood alone does not know. Delays and amplitudes of
+the chosen pair are those of maximum likelihood.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.fit.reference import FLOOR_PHOTONS, FLOOR_SHARE, RIDGE
+from hueflight.fit.tables import DelayTables, ModelTables
+
+LEAST_STEPS = 2  #: of the grid between the delays of a pair
+SEARCH_ROUNDS = 3  #: of expectation maximisation for each pair
+ACCELERATED = 1.5  #: exponent of its factors but in the last round
+CANDIDATES = 10  #: pairs that are refined
+WIDE_STEPS, FINE_STEPS = 5, 3  #: of scoring
+MOST_MOVES = 20  #: a delay moves by this part of the searched range at most in a step
+POLISH_ROUNDS = 4  #: of expectation maximisation after scoring, which keeps amplitudes positive
+START_BACKGROUND = 0.2  #: share of the counts
+ROUGHNESS = 0.5  #: typical change of a reflectance's logarithm from band to band
+CHUNK_PIXELS = 16  #: pixels whose pairs are looked at together, which bounds the memory it takes
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TwoReturns:
+    """Result of the fit of two surfaces, the nearer one first.
+
+    Attributes
+    ----------
+    delay_ns, delay_std_ns : ndarray of float, shape (pixel, 2)
+        Arrival against the templates, and its standard deviation.
+    amplitudes, amplitude_std : ndarray of float, shape (pixel, 2, band)
+        Photons of each band from each surface, and their standard deviations.
+    inflation : ndarray of float, shape (pixel, 2, band)
+        Variance of the amplitude over what it would be if all other parameters were known.
+    influence : ndarray of float, shape (pixel, 2, band)
+        Change of the delay by that of a band's pulse.
+    background : ndarray of float, shape (pixel,)
+        Photons over all bins.
+    log_likelihood : ndarray of float, shape (pixel,)
+        At the wide bins, but for a constant that the counts determine.
+    chi_square : ndarray of float, shape (pixel,)
+        Pearson's χ² at the wide bins per degree of freedom.
+    spread : ndarray of float, shape (pixel,)
+        Sum over the wide bins of one over the expected counts, which widens the distribution of χ².
+    """
+
+    delay_ns: _Floats
+    delay_std_ns: _Floats
+    amplitudes: _Floats
+    amplitude_std: _Floats
+    inflation: _Floats
+    influence: _Floats
+    background: _Floats
+    log_likelihood: _Floats
+    chi_square: _Floats
+    spread: _Floats
+
+    def take(self, chosen: NDArray[Any]) -> TwoReturns:
+        """Return the fit of some of the pixels.
+
+        Parameters
+        ----------
+        chosen : ndarray
+            Pixels to take.
+
+        Returns
+        -------
+        TwoReturns
+            Their fit.
+        """
+        return TwoReturns(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class _State:
+    """Parameters: delays (n, surface), amplitudes (n, surface, band), background (n,)."""
+
+    delays: _Floats
+    amplitudes: _Floats
+    background: _Floats
+
+    def take(self, chosen: NDArray[np.intp]) -> _State:
+        return _State(self.delays[chosen], self.amplitudes[chosen], self.background[chosen])
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """A state after scoring; variances and information of amplitudes, background and delays.
+
+    `influence` (n, 2, band) is the change of the delays by that of each band's pulse.
+    """
+
+    state: _State
+    variances: _Floats
+    information: _Floats
+    influence: _Floats
+
+    def take(self, chosen: NDArray[np.intp]) -> _Scored:
+        rest = (self.variances[chosen], self.information[chosen], self.influence[chosen])
+        return _Scored(self.state.take(chosen), *rest)
+
+    def where(self, kept: NDArray[np.bool_], other: _Scored) -> _Scored:
+        def choice(mine: _Floats, theirs: _Floats) -> _Floats:
+            return np.where(kept.reshape(-1, *(1,) * (mine.ndim - 1)), mine, theirs)
+
+        state = _State(
+            choice(self.state.delays, other.state.delays),
+            choice(self.state.amplitudes, other.state.amplitudes),
+            choice(self.state.background, other.state.background),
+        )
+        return _Scored(
+            state,
+            choice(self.variances, other.variances),
+            choice(self.information, other.information),
+            choice(self.influence, other.influence),
+        )
+
+
+def fit_two_returns(
+    light: NDArray[np.floating],
+    offsets_ns: _Floats,
+    tables: ModelTables,
+    brightness: NDArray[np.floating],
+) -> TwoReturns:
+    """Fit two surfaces to every pixel.
+
+    Parameters
+    ----------
+    light : ndarray, shape (pixel, bin)
+        Counts in time order, at least one count in each pixel.
+    offsets_ns : ndarray of float, shape (pixel,)
+        Delay that belongs to the pixel, not to the scene.
+    tables : ModelTables
+        Tables of the fit.
+    brightness : ndarray of float, shape (band,)
+        Photons of a white target, on any scale.
+
+    Returns
+    -------
+    TwoReturns
+        Result for each pixel, whether or not it sees two surfaces.
+    """
+    fine = tables.fine.summed(np.asarray(light, np.float64))
+    wide = tables.search.summed(fine)
+    white = np.asarray(brightness, np.float64) / np.sum(brightness)
+    low, high = ((offsets_ns + bound)[:, None] for bound in tables.search_ns)
+    pixel, pairs = _candidates(wide, tables, white)
+    coarse = _scored(wide[pixel], pairs, tables.wide, low[pixel], high[pixel], WIDE_STEPS)
+    polished, likelihood, _ = _polished(wide[pixel], coarse.state, tables.wide)
+    variances = coarse.variances[:, :-3].reshape(polished.amplitudes.shape)
+    score = likelihood - _roughness(polished.amplitudes, variances, white)
+    chosen = _best(score, pixel, len(fine))
+    coarse, before = coarse.take(chosen), likelihood[chosen]
+    scored = _scored(fine, polished.take(chosen), tables.fine, low, high, FINE_STEPS)
+    likelihood = _polished(wide, scored.state, tables.wide)[1]
+    # where pulses of both surfaces coincide, scoring may leave the maximum
+    scored = scored.where(likelihood > before - 1, coarse)
+    _, likelihood, mean = _polished(wide, scored.state, tables.wide)
+    freedom = max(wide.shape[-1] - 2 * tables.bands - 3, 1)
+    state, variances = scored.state, scored.variances
+    order = np.argsort(state.delays, axis=1)
+
+    def ordered(values: _Floats) -> _Floats:
+        return np.take_along_axis(values, order.reshape(order.shape + (1,) * (values.ndim - 2)), 1)
+
+    def by_band(values: _Floats) -> _Floats:
+        return ordered(values[:, :-3].reshape(state.amplitudes.shape))
+
+    return TwoReturns(
+        delay_ns=ordered(state.delays - offsets_ns[:, None]),
+        delay_std_ns=ordered(np.sqrt(variances[:, -2:])),
+        amplitudes=ordered(state.amplitudes),
+        # a count's posterior is half a photon wider than the count (Jeffreys' prior)
+        amplitude_std=np.sqrt(by_band(variances) + 0.5),
+        inflation=by_band(variances * scored.information),
+        influence=ordered(scored.influence),
+        background=state.background,
+        log_likelihood=likelihood,
+        chi_square=((wide - mean) ** 2 / mean).sum(axis=-1) / freedom,
+        spread=(1 / mean).sum(axis=-1),
+    )
+
+
+def one_surface_likelihood(
+    light: NDArray[np.floating],
+    arrival_ns: _Floats,
+    amplitudes: _Floats,
+    background: _Floats,
+    tables: ModelTables,
+) -> _Floats:
+    """Log-likelihood of one surface, comparable with that of two.
+
+    Parameters
+    ----------
+    light : ndarray, shape (pixel, bin)
+        Counts in time order.
+    arrival_ns : ndarray of float, shape (pixel,)
+        Delay of the surface, that of the pixel itself included, ns.
+    amplitudes : ndarray of float, shape (pixel, band)
+        Photons of each band.
+    background : ndarray of float, shape (pixel,)
+        Photons over all bins.
+    tables : ModelTables
+        Tables of the fit.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel,)
+        The log-likelihood, but for a constant that the counts determine.
+    """
+    wide = tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
+    state = _State(arrival_ns[:, None], amplitudes[:, None], background)
+    return _polished(wide, state, tables.wide)[1]
+
+
+def best_single(
+    light: NDArray[np.floating], tables: ModelTables, brightness: NDArray[np.floating]
+) -> tuple[_Floats, _Floats]:
+    """Find the best delay of one surface on the grid of the search.
+
+    Parameters
+    ----------
+    light : ndarray, shape (pixel, bin)
+        Counts in time order.
+    tables : ModelTables
+        Tables of the fit.
+    brightness : ndarray of float, shape (band,)
+        Photons of a white target, on any scale.
+
+    Returns
+    -------
+    arrival_ns : ndarray of float, shape (pixel,)
+        Delay of the surface, that of the pixel itself included, ns.
+    amplitudes : ndarray of float, shape (pixel, band)
+        Photons of each band.
+    """
+    wide = tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
+    white = np.asarray(brightness, np.float64) / np.sum(brightness)
+    photons = wide.sum(axis=-1) * (1 - START_BACKGROUND)
+    start = photons[:, None, None] * white
+    best = np.full(len(wide), -np.inf)
+    arrival, amplitudes = np.zeros(len(wide)), start[:, 0].copy()
+    for delay in tables.search.lags_ns:
+        state = _State(np.full((len(wide), 1), delay), start, wide.sum(axis=-1) - photons)
+        state, likelihood, _ = _polished(wide, state, tables.wide)
+        better = likelihood > best
+        best[better], arrival[better] = likelihood[better], delay
+        amplitudes[better] = state.amplitudes[better, 0]
+    return arrival, amplitudes
+
+
+def _dense(rows: NDArray[np.intp], level: DelayTables, values: NDArray) -> NDArray[np.float32]:
+    """Rows of tables (n, band, bin) of given delays; each of them is made once."""
+    some, place = np.unique(rows, return_inverse=True)
+    return np.stack([level.tiles.dense(values, int(row)) for row in some])[place.reshape(-1)]
+
+
+def _candidates(
+    wide: _Floats, tables: ModelTables, white: _Floats
+) -> tuple[NDArray[np.intp], _State]:
+    """Pixels and pairs to refine: the best local maxima of the likelihood over the grid."""
+    level, grid = tables.wide, tables.search.lags_ns
+    shares = _dense(level.phase_of(grid), level, level.tiles.shares)
+    near, far = np.triu_indices(grid.size, LEAST_STEPS)
+    flat = np.broadcast_to(level.widths, (near.size, 1, level.widths.size))
+    linear = np.concatenate([shares[near], shares[far], flat], axis=1)
+    turned = np.ascontiguousarray(linear.transpose(0, 2, 1))
+    whole = np.maximum(linear.sum(axis=-1), 1e-3)[:, None]
+    start = np.concatenate([white, white, [0]]) * (1 - START_BACKGROUND) / 2
+    start[-1] = START_BACKGROUND
+    pixels, chosen, thetas = [], [], []
+    for first in range(0, len(wide), CHUNK_PIXELS):
+        h = wide[first : first + CHUNK_PIXELS].astype(np.float32)
+        theta = (h.sum(axis=-1)[None, :, None] * start).astype(np.float32)
+        for number in range(SEARCH_ROUNDS):
+            factor = np.matmul(h / np.matmul(theta, linear), turned) / whole
+            theta = theta * (factor if number == SEARCH_ROUNDS - 1 else factor**ACCELERATED)
+        mean = np.matmul(theta, linear)
+        likelihood = (h * np.log(mean)).sum(axis=-1) - mean.sum(axis=-1)  # pair, pixel
+        surfaces = theta[..., :-1].reshape(*theta.shape[:-1], 2, -1).astype(np.float64)
+        score = likelihood - _roughness(surfaces, surfaces, white)
+        pixel, pair = _peaks(score, near, far, grid.size)
+        pixels.append(pixel + first)
+        chosen.append(pair)
+        thetas.append(theta[pair, pixel].astype(np.float64))
+    theta, pair = np.concatenate(thetas), np.concatenate(chosen)
+    amplitudes = theta[:, :-1].reshape(len(theta), 2, -1)
+    delays = np.stack([grid[near[pair]], grid[far[pair]]], axis=1)
+    return np.concatenate(pixels), _State(delays, amplitudes, theta[:, -1])
+
+
+def _peaks(
+    score: _Floats, near: NDArray[np.intp], far: NDArray[np.intp], size: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pixels and pairs of the best local maxima of scores (pair, pixel), pixels in order."""
+    plane = np.full((size + 2, size + 2, score.shape[1]), -np.inf)
+    plane[near + 1, far + 1] = score
+    around = np.full_like(score, -np.inf)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            if down or right:
+                np.maximum(around, plane[near + 1 + down, far + 1 + right], out=around)
+    peaks = np.where(score >= around, score, -np.inf)
+    most = min(CANDIDATES, len(peaks))
+    best = np.argpartition(-peaks, most - 1, axis=0)[:most]
+    pixel = np.broadcast_to(np.arange(score.shape[1]), best.shape)
+    is_peak = np.isfinite(np.take_along_axis(peaks, best, axis=0))
+    return pixel.T[is_peak.T], best.T[is_peak.T]
+
+
+def _roughness(amplitudes: _Floats, variances: _Floats, white: _Floats) -> _Floats:
+    """How unlikely spectra are, as a log-likelihood; amplitudes (..., surface, band)."""
+    # a band that is not known is as bright as its noise allows
+    noise = np.sqrt(np.maximum(variances, 0.0) + 0.5)
+    counts = np.maximum(amplitudes, 0.0) + noise
+    steps = np.diff(np.log(counts / white), axis=-1)
+    relative = (noise / counts) ** 2
+    variance = ROUGHNESS**2 + relative[..., 1:] + relative[..., :-1]
+    return 0.5 * (steps**2 / variance).sum(axis=(-1, -2))
+
+
+def _best(score: _Floats, pixel: NDArray[np.intp], pixels: int) -> NDArray[np.intp]:
+    """Number of each pixel's candidate with the highest score."""
+    order = np.lexsort((score, pixel))
+    last = np.searchsorted(pixel[order], np.arange(pixels), side="right") - 1
+    return order[last]
+
+
+def _linear(state: _State, level: DelayTables) -> _Floats:
+    """Shares (n, surface · band + 1, bin) at tabulated delays, those of the background last."""
+    shape = len(state.delays), -1, level.widths.size
+    shares = _dense(level.phase_of(state.delays).ravel(), level, level.tiles.shares)
+    flat = np.broadcast_to(level.widths, (len(state.delays), 1, level.widths.size))
+    return np.concatenate([shares.reshape(shape), flat], axis=1).astype(np.float64)
+
+
+def _scored(
+    counts: _Floats, state: _State, level: DelayTables, low: _Floats, high: _Floats, steps: int
+) -> _Scored:
+    """Steps of Fisher's scoring, as in the fit of one surface."""
+    total = counts.sum(axis=-1)
+    floor = FLOOR_PHOTONS + FLOOR_SHARE * total
+    most_ns = (high - low) / MOST_MOVES
+    variances = information = influence = np.empty(0)
+    for step in range(steps):
+        phases = level.phase_of(state.delays)
+        linear = _linear(state, level)
+        slopes = _dense(phases.ravel(), level, level.tiles.slopes)
+        amplitudes = np.maximum(state.amplitudes, 0.0)
+        moved = amplitudes[..., None] * slopes.reshape(*amplitudes.shape, -1)
+        theta = amplitudes.reshape(len(counts), -1)
+        theta = np.column_stack([theta, np.maximum(state.background, floor)])
+        model = np.concatenate([linear, moved.sum(axis=2)], axis=1)
+        weighted = model / (theta[:, None] @ linear)
+        normal = weighted @ model.transpose(0, 2, 1)
+        # a delay may be anywhere in the searched range, and a band has no more than was counted
+        diagonal = np.einsum("paa->pa", normal)
+        diagonal[:, -2:] += 12 / (high - low) ** 2
+        diagonal[:, :-2] += ((2 * total + 10) ** -2.0)[:, None]
+        information = diagonal.copy()
+        scale = 1 / np.sqrt(information)
+        both = scale[:, :, None] * scale[:, None, :]
+        inverse = np.linalg.inv(normal * both + RIDGE * np.eye(normal.shape[-1])) * both
+        solution = (inverse @ (weighted @ counts[..., None]))[..., 0]
+        moves = np.clip(solution[:, -2:], -most_ns, most_ns)
+        delays = np.clip(level.first_ns + phases * level.phase_ns + moves, low, high)
+        state = _State(delays, solution[:, :-3].reshape(amplitudes.shape), solution[:, -3])
+        if step == steps - 1:
+            variances = np.einsum("paa->pa", inverse).copy()
+            pulls = weighted @ moved.sum(axis=1).transpose(0, 2, 1)  # of both surfaces' bands
+            influence = inverse[:, -2:] @ pulls
+    return _Scored(state, variances, information, influence)
+
+
+def _polished(
+    counts: _Floats, state: _State, level: DelayTables
+) -> tuple[_State, _Floats, _Floats]:
+    """Amplitudes that are not negative, their log-likelihood and the expected counts."""
+    linear = _linear(state, level)
+    total = counts.sum(axis=-1)
+    whole = np.maximum(linear.sum(axis=-1), 1e-3)
+    least = (1e-3 * total)[:, None]
+    theta = np.column_stack([state.amplitudes.reshape(len(counts), -1), state.background])
+    theta = np.maximum(theta, least)
+    for _ in range(POLISH_ROUNDS):
+        mean = (theta[:, None] @ linear)[:, 0]
+        theta = theta * (linear @ (counts / mean)[..., None])[..., 0] / whole
+    mean = (theta[:, None] @ linear)[:, 0]
+    likelihood = (counts * np.log(mean)).sum(axis=-1) - mean.sum(axis=-1)
+    amplitudes = theta[:, :-1].reshape(state.amplitudes.shape)
+    return _State(state.delays, amplitudes, theta[:, -1]), likelihood, mean

@@ -235,7 +235,7 @@ def test_reconstruct_separates_two_colors_by_their_counts(with_lens, range_corre
     share = disc_share(5)
     args = (with_lens, share, 0.2, ("ink red", "ink blue"), 5)
     image = lens_image(*args, range_correction=range_correction)
-    plain = lens_image(*args, range_correction=range_correction, mixed=False)
+    plain = lens_image(*args, range_correction=range_correction, mixed=False, second_returns=False)
     flagged, mixed = is_mixed(image), (share > 0) & (share < 1)
     # by the depth alone about a tenth of them, by their counts also most others
     assert flagged[mixed].mean() > 0.5
@@ -254,6 +254,18 @@ def test_reconstruct_separates_two_colors_by_their_counts(with_lens, range_corre
     assert np.sqrt(np.mean(error**2)) < 0.06
     for name in ("depth", "depth_std", "reflectance", "background"):
         np.testing.assert_array_equal(image[name].values[~flagged], plain[name].values[~flagged])
+    # the neighbors tell the color of either surface
+    instrument, _ = with_lens
+    for name, color in (("near_reflectance", "ink red"), ("second_reflectance", "ink blue")):
+        light = band_weights(instrument) @ reflectance(color)
+        light *= PHOTONS / (instrument.band_brightness() @ light)
+        white = (image["white_photons"] * image["white_share"]).values[flagged]
+        depth = image["depth" if color == "ink red" else "second_depth"].values[flagged][:, None]
+        if range_correction:
+            light = light * depth**2 / (plain["depth"].values[flagged][:, None] ** 2)
+        truth = light * instrument.band_brightness() / white
+        z = (image[name].values[flagged] - truth) / image[f"{name}_std"].values[flagged]
+        assert np.abs(np.median(z)) < 0.5
     # the light that a pixel returns is corrected for the depth that is stated
     power = 2 if range_correction else 0
     ratio = (image["depth"].values / plain["depth"].values)[flagged] ** power
@@ -278,7 +290,7 @@ def test_a_part_of_the_picture_and_methods_that_find_none(with_lens, calibrated)
         lens_image(*args, method="paper", mixed=True)
     instrument, calibration, _ = calibrated
     counts = drawn(instrument, np.tile(waveform(instrument, 1.0), (ROWS, COLS, 1)), 3)
-    assert "second_depth" not in hf.reconstruct(counts, calibration)
+    assert "near_share" not in hf.reconstruct(counts, calibration)
     with pytest.raises(hf.HueflightError, match="has no lens"):
         hf.reconstruct(counts, calibration, mixed=True)
 

@@ -75,7 +75,7 @@ def test_estimate_of_the_tables_covers_what_they_take(monkeypatch, even):
     made = tables.make_tables(
         views, shortest_fwhm_ns=0.35, brightness=np.ones(3), search_ns=(-20.0, 20.0)
     )
-    packing.pack(made, 16)
+    packing.pack(made)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < estimates[0] < 3 * peak

@@ -12,6 +12,7 @@ from hueflight.backend.interface import (
 )
 
 MOST_BANDS = 30  #: bands that the compiled fit has room for
+BLOCK_BINS = 16  #: bins of a block; a multiple of the lanes of every build
 MOST_NODES = 32  #: delays of the posterior that it has room for
 RATIOS = 3  #: ratios of a band's peak to the background that the search tries
 BACKGROUND_SHARES = 3  #: shares of background that the search tries
@@ -24,7 +25,7 @@ CENTROID_ROUNDS = 3  #: in which the window of the centroid follows it
 def _level_fields(level: str) -> tuple[Field, ...]:
     return (
         Field(f"{level}_bins", "int32"),
-        Field(f"{level}_blocks", "int32", "vectors of bins"),
+        Field(f"{level}_blocks", "int32", "blocks of bins"),
         Field(f"{level}_phases", "int32", "tabulated delays"),
         Field(f"{level}_first_ns", "float32", "first tabulated delay"),
         Field(f"{level}_phase_ns", "float32", "between tabulated delays"),
@@ -96,13 +97,13 @@ FIT_RULES = Record(
 
 def _level_buffers(level: str) -> tuple[Buffer, ...]:
     return (
-        Buffer(f"{level}_widths", "float32", "(block, lane) share of the background"),
-        Buffer(f"{level}_places", "int32", "(phase + 1,) first run of each phase"),
-        Buffer(f"{level}_runs", "int32", "(run, 4) band, first block, blocks, place in data"),
-        Buffer(f"{level}_data", "float32", "(place, lane) of each run all shares, then all slopes"),
-        Buffer(f"{level}_pairs", "uint8", "(pair, 2) bands that share a block, the greater first"),
-        Buffer(f"{level}_meets", "int32", "(phase + 1,) first meeting of each phase"),
-        Buffer(f"{level}_meetings", "int32", "(meeting, 5) pair, first block, blocks, places"),
+        Buffer(f"{level}_widths", "float32", "(block, bin) share of the background"),
+        Buffer(f"{level}_run_places", "int32", "(phase + 1,) first run of each phase"),
+        Buffer(f"{level}_runs", "int32", "(run, 4) band, first bin, bins, place in data"),
+        Buffer(f"{level}_data", "float32", "(place,) of each run all shares, then all slopes"),
+        Buffer(f"{level}_segment_places", "int32", "(phase + 1,) first segment of each phase"),
+        Buffer(f"{level}_segments", "int32", "(segment, 4) first bin, bins, bands, first of lit"),
+        Buffer(f"{level}_lit", "int32", "(band of a segment, 3) band, places of share and slope"),
     )
 
 
@@ -112,11 +113,11 @@ TABLES = (
     Buffer("view_bins", "int32", "(view,) sensor's bins"),
     *_level_buffers("fine"),
     *_level_buffers("wide"),
-    Buffer("search_span_places", "int32", "(lag block · band + 1,) first span of each"),
-    Buffer("search_spans", "int32", "(span, 3) first bin, one past the last, place in gains"),
-    Buffer("search_gains", "float32", "(ratio, lane) for each bin of a span"),
-    Buffer("search_costs", "float32", "(block, band, ratio, lane)"),
-    Buffer("search_places", "int32", "(lag + 1,) first run of each lag"),
+    Buffer("search_gain_places", "int32", "(lag + 1,) first run of each lag"),
+    Buffer("search_gain_runs", "int32", "(run, 4) band, first bin, one past the last, place"),
+    Buffer("search_gains", "float32", "(bin, ratio) of all runs"),
+    Buffer("search_costs", "float32", "(lag, band, share, ratio)"),
+    Buffer("search_places", "int32", "(lag + 1,) first zone of each lag"),
     Buffer("search_runs", "int32", "(run, 3) band, first bin, one past the last"),
     Buffer("search_widths", "float32", "(lag, band) share of the background in a band's zone"),
     Buffer("search_shares", "float32", "(lag, band) share of a band in its zone"),
@@ -221,6 +222,7 @@ INTERFACE = Interface(
     "fit",
     (
         Constant("MOST_BANDS", MOST_BANDS, "bands that there is room for"),
+        Constant("BLOCK_BINS", BLOCK_BINS, "bins of a block"),
         Constant("MOST_NODES", MOST_NODES, "delays of the posterior that there is room for"),
         Constant("RATIOS", RATIOS, "ratios of peak to background that the search tries"),
         Constant("BACKGROUND_SHARES", BACKGROUND_SHARES, "shares of background that it tries"),

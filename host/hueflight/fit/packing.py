@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the fit as the compiled kernel reads them: flat arrays in vectors of bins or lags."""
+"""Tables of the fit as the compiled kernel reads them: flat arrays, the same for all its builds.
+
+The kernel has pixels of one tabulated delay side by side, one in each lane of a vector, and goes
+through the bins together for all of them. Its tables are therefore single numbers, and *segments*
+say which bands light which bins: all bins of a segment have the same ones.
+"""
 
 from __future__ import annotations
 
@@ -15,42 +20,39 @@ from hueflight.fit.search_tables import RATIOS, SearchTables
 from hueflight.fit.tables import BACKGROUND_SHARES, DelayTables, ModelTables
 from hueflight.fit.tiles import TILE_BINS, Tiles
 
-SPAN_GAP = 4  #: bins without gain between two spans of the search that are kept apart
-
 
 @dataclass(frozen=True, eq=False)
 class PackedDelays:
-    """Tables of one bin width, in blocks of as many bins as a vector has lanes.
+    """Tables of one bin width.
 
     Attributes
     ----------
     blocks : int
-        Blocks of bins.
-    widths : ndarray of float32, shape (block · lane,)
+        Blocks of ``BLOCK_BINS`` bins.
+    widths : ndarray of float32, shape (block · bin,)
         Share of the background.
-    places : ndarray of int32, shape (phase + 1,)
+    run_places : ndarray of int32, shape (phase + 1,)
         First run of each phase.
     runs : ndarray of int32, shape (run, 4)
-        Successive blocks that one band lights: band, first block, blocks, place in `data`; bands
-        rise.
-    data : ndarray of float32, shape (place, lane)
+        Successive blocks that one band lights: band, first bin, bins, place in `data`; bands rise.
+    data : ndarray of float32, shape (place,)
         Of each run all shares, then all slopes.
-    pairs : ndarray of uint8, shape (pair, 2)
-        Bands that share a block at some delay, the greater first.
-    meets : ndarray of int32, shape (phase + 1,)
-        First meeting of each phase.
-    meetings : ndarray of int32, shape (meeting, 5)
-        Successive blocks that two bands light: pair, first block, blocks, places of their shares.
+    segment_places : ndarray of int32, shape (phase + 1,)
+        First segment of each phase.
+    segments : ndarray of int32, shape (segment, 4)
+        Successive bins that the same bands light: first bin, bins, bands, first row of `lit`.
+    lit : ndarray of int32, shape (band of a segment, 3)
+        Band, and the places of its first share and slope; bands rise.
     """
 
     blocks: int
     widths: NDArray[np.float32]
-    places: NDArray[np.int32]
+    run_places: NDArray[np.int32]
     runs: NDArray[np.int32]
     data: NDArray[np.float32]
-    pairs: NDArray[np.uint8]
-    meets: NDArray[np.int32]
-    meetings: NDArray[np.int32]
+    segment_places: NDArray[np.int32]
+    segments: NDArray[np.int32]
+    lit: NDArray[np.int32]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays by name."""
@@ -59,28 +61,29 @@ class PackedDelays:
 
 @dataclass(frozen=True, eq=False)
 class PackedSearch:
-    """Tables of the search; of each vector of lags only the bins that matter.
+    """Tables of the search; of each lag only the bins that matter.
 
     Attributes
     ----------
-    span_places : ndarray of int32, shape (vector · band + 1,)
-        First span of each band at each vector of lags.
-    spans : ndarray of int32, shape (span, 3)
-        First bin, one past the last, and place in `gains`.
-    gains : ndarray of float32
-        Values (ratio, lane) for each bin of a span.
-    costs : ndarray of float32, shape (vector, band, ratio, lane)
-        Costs of the background; see `SearchTables`.
-    places : ndarray of int32, shape (lag + 1,)
+    gain_places : ndarray of int32, shape (lag + 1,)
         First run of each lag.
+    gain_runs : ndarray of int32, shape (run, 4)
+        Successive bins that count for a band: band, first bin, one past the last, place in
+        `gains`; bands rise.
+    gains : ndarray of float32
+        Values (bin, ratio) of all runs.
+    costs : ndarray of float32, shape (lag, band, share, ratio)
+        Costs of each share of background; see `SearchTables`.
+    places : ndarray of int32, shape (lag + 1,)
+        First zone of each lag.
     runs : ndarray of int32, shape (run, 3)
         Zone of a band: band, first bin, one past the last.
     widths, shares : ndarray of float32, shape (lag, band)
         Share of the background and of the band in its zone.
     """
 
-    span_places: NDArray[np.int32]
-    spans: NDArray[np.int32]
+    gain_places: NDArray[np.int32]
+    gain_runs: NDArray[np.int32]
     gains: NDArray[np.float32]
     costs: NDArray[np.float32]
     places: NDArray[np.int32]
@@ -115,26 +118,24 @@ class PackedTables:
     search: PackedSearch
 
 
-def pack(tables: ModelTables, lanes: int, *, skip_dark: bool = True) -> PackedTables:
-    """Lay out tables for a kernel with vectors of so many lanes.
+def pack(tables: ModelTables, *, skip_dark: bool = True) -> PackedTables:
+    """Lay out tables for the kernel.
 
     Parameters
     ----------
     tables : ModelTables
         The tables.
-    lanes : int
-        Elements of a vector.
     skip_dark : bool
-        Leave out a band's blocks of bins in which its pulse is not; the results are the same.
+        Leave out a band's bins in which its pulse is not; the results are the same.
 
     Returns
     -------
     PackedTables
         The same tables in flat arrays.
     """
-    fine = _level(tables.fine, lanes, skip_dark=skip_dark)
-    wide = fine if tables.wide is tables.fine else _level(tables.wide, lanes, skip_dark=skip_dark)
-    return PackedTables(fine=fine, wide=wide, search=_search_tables(tables.search, lanes))
+    fine = _level(tables.fine, skip_dark=skip_dark)
+    wide = fine if tables.wide is tables.fine else _level(tables.wide, skip_dark=skip_dark)
+    return PackedTables(fine=fine, wide=wide, search=_search_tables(tables.search))
 
 
 def sizes(tables: ModelTables, packed: PackedTables) -> NDArray[np.void]:
@@ -239,42 +240,33 @@ def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Tiles cut to vectors: of each its phase, band, block and row of `values`, sorted so."""
+    """Tiles, sorted: of each its phase, band, block and row of the shares and slopes."""
 
     phase: NDArray[np.int64]
     band: NDArray[np.int64]
     block: NDArray[np.int64]
     row: NDArray[np.int64]
-    values: tuple[NDArray[np.floating], NDArray[np.floating]]  # shares and slopes, (row, lane)
+    shares: NDArray[np.floating]
+    slopes: NDArray[np.floating]
 
 
-def _parts(tiles: Tiles, lanes: int, *, skip_dark: bool) -> _Parts:
-    several = TILE_BINS // lanes
-    values = tuple(table.reshape(-1, lanes) for table in (tiles.shares, tiles.slopes))
-    lit = np.asarray(values[0].any(axis=-1)) | np.asarray(values[1].any(axis=-1))
-    within = np.arange(several)
-    row = (tiles.row[:, None].astype(np.int64) * several + within).ravel()
-    block = (tiles.block[:, None].astype(np.int64) * several + within).ravel()
+def _parts(tiles: Tiles, *, skip_dark: bool) -> _Parts:
     phases = tiles.places.size - 1
-    phase = np.repeat(np.arange(phases), several * np.diff(tiles.places))
-    band = np.repeat(tiles.band.astype(np.int64), several)
-    if not skip_dark:
-        blocks = -(-tiles.bins // lanes)
-        everywhere = np.full((phases, tiles.bands, blocks), lit.size)  # a row of zeros
-        seen = block < blocks
-        everywhere[phase[seen], band[seen], block[seen]] = row[seen]
-        phase, band, block = (i.ravel() for i in np.indices(everywhere.shape))
-        none = np.zeros((1, lanes), np.float32)
-        shares, slopes = (np.concatenate([table, none]) for table in values)
-        return _Parts(phase, band, block, everywhere.ravel(), (shares, slopes))
-    kept = lit[row]
-    return _Parts(phase[kept], band[kept], block[kept], row[kept], (values[0], values[1]))
+    phase = np.repeat(np.arange(phases), np.diff(tiles.places))
+    band, block, row = (a.astype(np.int64) for a in (tiles.band, tiles.block, tiles.row))
+    if skip_dark:
+        return _Parts(phase, band, block, row, tiles.shares, tiles.slopes)
+    everywhere = np.full((phases, tiles.bands, tiles.blocks), len(tiles.shares))  # row of zeros
+    everywhere[phase, band, block] = row
+    phase, band, block = (i.ravel() for i in np.indices(everywhere.shape))
+    none = np.zeros((1, TILE_BINS), np.float32)
+    shares, slopes = (np.concatenate([table, none]) for table in (tiles.shares, tiles.slopes))
+    return _Parts(phase, band, block, everywhere.ravel(), shares, slopes)
 
 
-def _level(level: DelayTables, lanes: int, *, skip_dark: bool) -> PackedDelays:
+def _level(level: DelayTables, *, skip_dark: bool) -> PackedDelays:
     tiles = level.tiles
-    blocks = -(-tiles.bins // lanes)
-    parts = _parts(tiles, lanes, skip_dark=skip_dark)
+    parts = _parts(tiles, skip_dark=skip_dark)
     phases = np.arange(tiles.places.size)
     begin, counts = _runs((parts.phase, parts.band), (parts.block, parts.row))
     # runs with the same values share them
@@ -282,47 +274,60 @@ def _level(level: DelayTables, lanes: int, *, skip_dark: bool) -> PackedDelays:
     known, run_values = np.unique(parts.row[begin] * most + counts, return_inverse=True)
     rows, lengths = np.divmod(known, most)
     place = np.concatenate([[0], np.cumsum(2 * lengths)])
-    data = np.empty((place[-1], lanes), np.float32)
-    for table, before in zip(parts.values, (np.zeros_like(lengths), lengths), strict=True):
+    data = np.empty((place[-1], TILE_BINS), np.float32)
+    tables = (parts.shares, parts.slopes)
+    for table, before in zip(tables, (np.zeros_like(lengths), lengths), strict=True):
         data[_stretched(place[:-1] + before, lengths)] = table[_stretched(rows, lengths)]
-    places = place[run_values]
-    pairs, meetings, met_phase = _meetings(parts, blocks, tiles.bands, _stretched(places, counts))
+    phase, first = parts.phase[begin], parts.block[begin] * TILE_BINS
+    runs = _table(parts.band[begin], first, counts * TILE_BINS, place[run_values] * TILE_BINS)
+    low, high = first, np.minimum(first + counts * TILE_BINS, tiles.bins)
+    if skip_dark:
+        ends = begin + counts - 1
+        lit = (parts.shares != 0) | (parts.slopes != 0)
+        low = first + lit.argmax(axis=-1)[parts.row[begin]]
+        high = (parts.block[ends] + 1) * TILE_BINS - lit[:, ::-1].argmax(axis=-1)[parts.row[ends]]
+    segment_phase, segments, lit_rows = _segments(phase, low, high, runs, phases, tiles.bins)
     return PackedDelays(
-        blocks=blocks,
-        widths=np.pad(level.widths, (0, blocks * lanes - tiles.bins)),
-        places=np.searchsorted(parts.phase[begin], phases).astype(np.int32),
-        runs=_table(parts.band[begin], parts.block[begin], counts, places),
-        data=data,
-        pairs=pairs,
-        meets=np.searchsorted(met_phase, phases).astype(np.int32),
-        meetings=meetings,
+        blocks=tiles.blocks,
+        widths=np.pad(level.widths, (0, tiles.blocks * TILE_BINS - tiles.bins)),
+        run_places=np.searchsorted(phase, phases).astype(np.int32),
+        runs=runs,
+        data=data.ravel(),
+        segment_places=np.searchsorted(segment_phase, phases).astype(np.int32),
+        segments=segments,
+        lit=lit_rows,
     )
 
 
-def _meetings(
-    parts: _Parts, blocks: int, bands: int, places: NDArray[np.int64]
-) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.int64]]:
-    """Pairs of bands that share blocks, their meetings, and the phase of each meeting."""
-    key = parts.phase * blocks + parts.block
-    order = np.argsort(key, kind="stable")  # bands rise among the parts of a block
-    key = key[order]
-    lower, upper = [], []
-    for apart in range(1, bands):
-        same = np.flatnonzero(key[apart:] == key[:-apart])
-        if not same.size:
-            break
-        lower.append(order[same])
-        upper.append(order[same + apart])
-    nothing = np.empty(0, np.int64)
-    one, other = np.concatenate([nothing, *upper]), np.concatenate([nothing, *lower])
-    known, pair = np.unique(parts.band[one] * bands + parts.band[other], return_inverse=True)
-    order = np.lexsort((parts.block[one], pair, parts.phase[one]))
-    one, other, pair = one[order], other[order], pair[order]
-    phase, block = parts.phase[one], parts.block[one]
-    begin, counts = _runs((phase, pair), (block, places[one], places[other]))
-    met = _table(pair[begin], block[begin], counts, places[one][begin], places[other][begin])
-    pairs = np.column_stack(np.divmod(known, bands)).astype(np.uint8)
-    return np.ascontiguousarray(pairs), met, phase[begin]
+def _segments(
+    phase: NDArray[np.int64],
+    low: NDArray[np.int64],
+    high: NDArray[np.int64],
+    runs: NDArray[np.int32],
+    phases: NDArray[np.int64],
+    bins: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
+    """Phase of each segment, segments, and the bands that light them.
+
+    Each run is lit from bin `low` up to `high`; all bins of a phase are in one segment.
+    """
+    turn = bins + 1
+    whole = phases[:-1] * turn
+    edges = np.unique(
+        np.concatenate([phase * turn + low, phase * turn + high, whole, whole + bins])
+    )
+    begin = np.flatnonzero(edges % turn != bins)
+    first, end = edges[begin], edges[begin + 1]
+    from_ = np.searchsorted(first, phase * turn + low)
+    counts = np.searchsorted(first, phase * turn + high) - from_
+    segment, run = _stretched(from_, counts), np.repeat(np.arange(phase.size), counts)
+    order = np.argsort(segment, kind="stable")  # bands rise among the runs of a phase
+    segment, run = segment[order], run[order]
+    band, run_first, run_bins, place = runs[run].T.astype(np.int64)
+    share = place + first[segment] % turn - run_first
+    bands = np.bincount(segment, minlength=first.size)
+    segments = _table(first % turn, end - first, bands, np.cumsum(bands) - bands)
+    return first // turn, segments, _table(band, share, share + run_bins)
 
 
 def _table(*columns: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -330,15 +335,15 @@ def _table(*columns: NDArray[np.int64]) -> NDArray[np.int32]:
 
 
 def _runs(
-    same: tuple[NDArray[np.int64], ...], rising: tuple[NDArray[np.int64], ...], *, by: int = 1
+    same: tuple[NDArray[np.int64], ...], rising: tuple[NDArray[np.int64], ...]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Where runs begin in which some values stay and others rise by 1 to `by`; their lengths."""
+    """Where runs begin in which some values stay and others rise by 1; their lengths."""
     size = same[0].size
     ends = np.zeros(max(size - 1, 0), bool)
     for values in same:
         ends |= np.diff(values) != 0
     for values in rising:
-        ends |= (np.diff(values) > by) | (np.diff(values) < 1)
+        ends |= np.diff(values) != 1
     begin = np.flatnonzero(np.concatenate([[size > 0], ends]))
     return begin, np.diff(np.append(begin, size))
 
@@ -349,34 +354,20 @@ def _stretched(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[n
     return np.repeat(first, counts) + within
 
 
-def _search_tables(search: SearchTables, lanes: int) -> PackedSearch:
-    bins, lags, bands = search.widths.size, search.lags_ns.size, search.bands
-    vectors = -(-lags // lanes)
-    vector, lane = np.divmod(search.lag, lanes)
-    columns, column = np.unique(
-        (vector * bands + search.band) * bins + search.bin, return_inverse=True
-    )
-    group, column_bin = np.divmod(columns, bins)
-    begin, counts = _runs((group,), (column_bin,), by=SPAN_GAP)
-    first, last = column_bin[begin], column_bin[begin + counts - 1] + 1
-    size = len(RATIOS) * lanes
-    place = np.concatenate([[0], np.cumsum((last - first) * size)])
-    span = np.repeat(np.arange(begin.size), counts)[column]
-    gains = np.zeros(place[-1] + 1, np.float32)
-    at = place[span] + (search.bin - first[span]) * size + lane
-    for ratio, values in enumerate(search.gains()):
-        gains[at + ratio * lanes] = values
-    costs = np.pad(search.costs, ((0, 0), (0, 0), (0, vectors * lanes - lags)))
-    costs = costs.reshape(len(RATIOS), bands, vectors, lanes).transpose(2, 1, 0, 3)
+def _search_tables(search: SearchTables) -> PackedSearch:
+    lags = np.arange(search.lags_ns.size + 1)
+    begin, counts = _runs((search.lag, search.band), (search.bin,))
+    first = search.bin[begin]
+    costs = np.array(BACKGROUND_SHARES)[:, None, None, None] * search.costs
     inside = np.flatnonzero(search.in_zone)
     lag, band, bin_ = search.lag[inside], search.band[inside], search.bin[inside]
     zone, zone_bins = _runs((lag, band), (bin_,))
     return PackedSearch(
-        span_places=np.searchsorted(group[begin], np.arange(vectors * bands + 1)).astype(np.int32),
-        spans=_table(first, last, place[:-1]),
-        gains=gains,
-        costs=np.ascontiguousarray(costs),
-        places=np.searchsorted(lag[zone], np.arange(lags + 1)).astype(np.int32),
+        gain_places=np.searchsorted(search.lag[begin], lags).astype(np.int32),
+        gain_runs=_table(search.band[begin], first, first + counts, begin * len(RATIOS)),
+        gains=np.ascontiguousarray(search.gains().T).ravel(),
+        costs=np.ascontiguousarray(costs.transpose(3, 2, 0, 1), np.float32),
+        places=np.searchsorted(lag[zone], lags).astype(np.int32),
         runs=_table(band[zone], bin_[zone], bin_[zone] + zone_bins),
         widths=np.ascontiguousarray(search.zone_widths.T),
         shares=np.ascontiguousarray(search.zone_shares.T),

@@ -30,17 +30,15 @@ from hueflight.fit.reference import DEFAULT, Fit, FitOptions, no_fit
 from hueflight.fit.tables import ModelTables
 from hueflight.model.pileup import NEGLIGIBLE, coates_correction
 
-TILE_PIXELS = 2048  #: pixels that one thread takes at a time
+TILE_PIXELS = 2048  #: pixels that the NumPy definition takes at a time
 
 COUNT_TYPES = (np.uint16, np.uint32, np.float32)  #: that the compiled kernel reads
 
-#: tables for a number of lanes; processes that compare builds use several
-_packed: WeakKeyDictionary[ModelTables, dict[int, PackedTables]] = WeakKeyDictionary()
+#: tables as the kernel reads them
+_packed: WeakKeyDictionary[ModelTables, PackedTables] = WeakKeyDictionary()
 
 
 class _Kernel(Protocol):
-    LANES: int
-
     def fit(self, *buffers: NDArray[Any]) -> None: ...
 
     def change_reference(self, *buffers: NDArray[Any]) -> None: ...
@@ -148,8 +146,9 @@ def fit_pixels(
             tile, definition.fit(coates_correction(seen, rates), offsets_ns[tile], tables, options)
         )
 
-    starts = range(0, max(len(which), 1), TILE_PIXELS)
-    tiles = [slice(start, start + TILE_PIXELS) for start in starts]
+    # the compiled fit divides its pixels itself: each thread calls it once
+    size = TILE_PIXELS if kernel is None else -(-max(len(which), 1) // max(threads, 1))
+    tiles = [slice(start, start + size) for start in range(0, max(len(which), 1), size)]
     if threads > 1:
         with ThreadPoolExecutor(threads) as pool:
             list(pool.map(fit_tile, tiles))
@@ -259,7 +258,7 @@ def change_reference(
     kernel = compiled_kernel(tables.bands)
     if kernel is None or light.dtype not in COUNT_TYPES:
         return change_detection.change_reference(light[pixels], found, offsets_ns, tables)
-    packed = _packed_for(tables, kernel)
+    packed = _packed_for(tables)
     room = -(-tables.search.starts.size // REFERENCE_MULTIPLE) * REFERENCE_MULTIPLE
     memory = np.empty((len(pixels), 2, room), np.float32)
     kernel.change_reference(
@@ -311,7 +310,7 @@ def change_significance(
         return change_detection.change_significance(
             now[pixels], memory[pixels], scales, delays_ns, tables
         )
-    packed = _packed_for(tables, kernel)
+    packed = _packed_for(tables)
     result = np.empty(len(pixels), np.float32)
     kernel.change_significance(
         *CHANGE_SIGNIFICANCE.arguments(
@@ -327,11 +326,10 @@ def change_significance(
     return result.astype(np.float64)
 
 
-def _packed_for(tables: ModelTables, kernel: _Kernel) -> PackedTables:
-    kept = _packed.setdefault(tables, {})
-    if kernel.LANES not in kept:
-        kept[kernel.LANES] = pack(tables, kernel.LANES)
-    return kept[kernel.LANES]
+def _packed_for(tables: ModelTables) -> PackedTables:
+    if tables not in _packed:
+        _packed[tables] = pack(tables)
+    return _packed[tables]
 
 
 def _fit_compiled(
@@ -344,7 +342,7 @@ def _fit_compiled(
     options: FitOptions,
     into: Fit,
 ) -> None:
-    packed = _packed_for(tables, kernel)
+    packed = _packed_for(tables)
     rates = np.empty(0) if per_period is None else per_period
     kernel.fit(
         *FIT.arguments(

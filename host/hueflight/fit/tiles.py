@@ -14,10 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.backend.fit import BLOCK_BINS
 from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.waveforms import Templates
 
-TILE_BINS = 16  #: bins of a tile; a multiple of the lanes of every kernel
+TILE_BINS = BLOCK_BINS  #: bins of a tile
 EQUAL = 1e-6  #: edges that differ by less than this part of a bin are equal
 DARK = 1e-10  #: coefficients below this part of a band's highest give no light that is kept
 ROWS_AT_ONCE = 1 << 14  #: tiles that are computed together, which bounds the memory it takes

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight import backend
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.fit import packing
 from hueflight.fit import solver as kernels
@@ -155,13 +154,12 @@ def test_bins_without_a_pulse(setting, monkeypatch):
     instrument, calibration, counts = setting
     plan = tables_for_calibration(calibration, (-14.0, 14.0))
     light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
-    kernel = backend.compiled("fit", "c")
-    packed = {skip: packing.pack(plan, kernel.LANES, skip_dark=skip) for skip in (True, False)}
-    blocks = {skip: tables.fine.runs[:, 2].sum() for skip, tables in packed.items()}
-    assert blocks[True] < 0.5 * blocks[False]
+    packed = {skip: packing.pack(plan, skip_dark=skip) for skip in (True, False)}
+    lit = {skip: np.prod(p.fine.segments[:, 1:3], axis=-1).sum() for skip, p in packed.items()}
+    assert lit[True] < 0.5 * lit[False]
     found = {}
     for skip, tables in packed.items():
-        kernels._packed[plan] = {kernel.LANES: tables}
+        kernels._packed[plan] = tables
         found[skip] = kernels.fit_pixels(light, np.zeros(144), plan)
     kernels._packed.pop(plan)
     np.testing.assert_allclose(found[True].delay_ns, found[False].delay_ns, rtol=0, atol=1e-5)

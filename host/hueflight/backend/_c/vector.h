@@ -5,12 +5,13 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
-#ifdef __AVX512F__
+#ifdef __SSE2__
 #include <immintrin.h>
 #endif
 
 #define LEAST 1e-30f /* added to expected counts, so that padding divides by something */
 #define INLINE static inline __attribute__((always_inline))
+#define APART static __attribute__((noinline)) /* keeps registers and code of one step together */
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef float loose __attribute__((vector_size(4 * LANES), aligned(4))); /* wherever it lies */
@@ -25,7 +26,41 @@ INLINE vec choose(ivec mask, vec yes, vec no)
     return (vec)((mask & (ivec)yes) | (~mask & (ivec)no));
 }
 
+/* What processors compute in one instruction, but compilers do not see in the vector types. Estimates of
+ * 12 bits or more become full ones by a step of Newton's method. */
+#if defined(__AVX512F__) && LANES == 16
+#define REGISTER __m512
+#define INTRINSIC(NAME) _mm512_##NAME
+#define ESTIMATE(NAME) _mm512_##NAME##14_ps
+#elif defined(__AVX2__) && LANES == 8
+#define REGISTER __m256
+#define INTRINSIC(NAME) _mm256_##NAME
+#define ESTIMATE(NAME) _mm256_##NAME##_ps
+#elif defined(__SSE2__) && LANES == 4
+#define REGISTER __m128
+#define INTRINSIC(NAME) _mm_##NAME
+#define ESTIMATE(NAME) _mm_##NAME##_ps
+#endif
+
+#ifdef REGISTER
+INLINE vec greater(vec a, vec b) { return (vec)INTRINSIC(max_ps)((REGISTER)a, (REGISTER)b); }
+INLINE vec lesser(vec a, vec b) { return (vec)INTRINSIC(min_ps)((REGISTER)a, (REGISTER)b); }
+INLINE vec root(vec x) { return (vec)INTRINSIC(sqrt_ps)((REGISTER)x); }
+
+INLINE vec reciprocal(vec x)
+{
+    vec y = (vec)ESTIMATE(rcp)((REGISTER)x);
+    return y * (2.0f - x * y);
+}
+
+INLINE vec reciprocal_root(vec x)
+{
+    vec y = (vec)ESTIMATE(rsqrt)((REGISTER)x);
+    return y * (1.5f - 0.5f * x * y * y);
+}
+#else
 INLINE vec greater(vec a, vec b) { return choose(a > b, a, b); }
+INLINE vec lesser(vec a, vec b) { return choose(a < b, a, b); }
 
 INLINE vec root(vec x)
 {
@@ -35,6 +70,13 @@ INLINE vec root(vec x)
         y[lane] = sqrtf(y[lane]);
     return load(y);
 }
+
+INLINE vec reciprocal(vec x) { return 1.0f / x; }
+INLINE vec reciprocal_root(vec x) { return 1.0f / root(x); }
+#endif
+
+/* Nearest whole numbers of numbers below 2²² in size. */
+INLINE vec nearest(vec x) { return (x + 12582912.0f) - 12582912.0f; }
 
 INLINE ivec lane_numbers(void)
 {

@@ -5,9 +5,10 @@
 #define HUEFLIGHT_FIT_ABI_H
 #include <stdint.h>
 
-#define ABI "3cee7ad31e5c27e1" /* hash of what follows */
+#define ABI "5dfa7046ac14912c" /* hash of what follows */
 
 enum { MOST_BANDS = 30 }; /* bands that there is room for */
+enum { BLOCK_BINS = 16 }; /* bins of a block */
 enum { MOST_NODES = 32 }; /* delays of the posterior that there is room for */
 enum { RATIOS = 3 }; /* ratios of peak to background that the search tries */
 enum { BACKGROUND_SHARES = 3 }; /* shares of background that it tries */
@@ -24,12 +25,12 @@ typedef struct {
     int32_t fine_factor; /* sensor's bins in a fine one */
     int32_t wide_factor; /* fine bins in a wide one */
     int32_t fine_bins;
-    int32_t fine_blocks; /* vectors of bins */
+    int32_t fine_blocks; /* blocks of bins */
     int32_t fine_phases; /* tabulated delays */
     float fine_first_ns; /* first tabulated delay */
     float fine_phase_ns; /* between tabulated delays */
     int32_t wide_bins;
-    int32_t wide_blocks; /* vectors of bins */
+    int32_t wide_blocks; /* blocks of bins */
     int32_t wide_phases; /* tabulated delays */
     float wide_first_ns; /* first tabulated delay */
     float wide_phase_ns; /* between tabulated delays */
@@ -102,25 +103,25 @@ enum {
     FIT_SIZES = 2, /* TableSizes */
     FIT_RULES = 3, /* FitRules */
     FIT_VIEW_BINS = 4, /* int32: (view,) sensor's bins */
-    FIT_FINE_WIDTHS = 5, /* float32: (block, lane) share of the background */
-    FIT_FINE_PLACES = 6, /* int32: (phase + 1,) first run of each phase */
-    FIT_FINE_RUNS = 7, /* int32: (run, 4) band, first block, blocks, place in data */
-    FIT_FINE_DATA = 8, /* float32: (place, lane) of each run all shares, then all slopes */
-    FIT_FINE_PAIRS = 9, /* uint8: (pair, 2) bands that share a block, the greater first */
-    FIT_FINE_MEETS = 10, /* int32: (phase + 1,) first meeting of each phase */
-    FIT_FINE_MEETINGS = 11, /* int32: (meeting, 5) pair, first block, blocks, places */
-    FIT_WIDE_WIDTHS = 12, /* float32: (block, lane) share of the background */
-    FIT_WIDE_PLACES = 13, /* int32: (phase + 1,) first run of each phase */
-    FIT_WIDE_RUNS = 14, /* int32: (run, 4) band, first block, blocks, place in data */
-    FIT_WIDE_DATA = 15, /* float32: (place, lane) of each run all shares, then all slopes */
-    FIT_WIDE_PAIRS = 16, /* uint8: (pair, 2) bands that share a block, the greater first */
-    FIT_WIDE_MEETS = 17, /* int32: (phase + 1,) first meeting of each phase */
-    FIT_WIDE_MEETINGS = 18, /* int32: (meeting, 5) pair, first block, blocks, places */
-    FIT_SEARCH_SPAN_PLACES = 19, /* int32: (lag block · band + 1,) first span of each */
-    FIT_SEARCH_SPANS = 20, /* int32: (span, 3) first bin, one past the last, place in gains */
-    FIT_SEARCH_GAINS = 21, /* float32: (ratio, lane) for each bin of a span */
-    FIT_SEARCH_COSTS = 22, /* float32: (block, band, ratio, lane) */
-    FIT_SEARCH_PLACES = 23, /* int32: (lag + 1,) first run of each lag */
+    FIT_FINE_WIDTHS = 5, /* float32: (block, bin) share of the background */
+    FIT_FINE_RUN_PLACES = 6, /* int32: (phase + 1,) first run of each phase */
+    FIT_FINE_RUNS = 7, /* int32: (run, 4) band, first bin, bins, place in data */
+    FIT_FINE_DATA = 8, /* float32: (place,) of each run all shares, then all slopes */
+    FIT_FINE_SEGMENT_PLACES = 9, /* int32: (phase + 1,) first segment of each phase */
+    FIT_FINE_SEGMENTS = 10, /* int32: (segment, 4) first bin, bins, bands, first of lit */
+    FIT_FINE_LIT = 11, /* int32: (band of a segment, 3) band, places of share and slope */
+    FIT_WIDE_WIDTHS = 12, /* float32: (block, bin) share of the background */
+    FIT_WIDE_RUN_PLACES = 13, /* int32: (phase + 1,) first run of each phase */
+    FIT_WIDE_RUNS = 14, /* int32: (run, 4) band, first bin, bins, place in data */
+    FIT_WIDE_DATA = 15, /* float32: (place,) of each run all shares, then all slopes */
+    FIT_WIDE_SEGMENT_PLACES = 16, /* int32: (phase + 1,) first segment of each phase */
+    FIT_WIDE_SEGMENTS = 17, /* int32: (segment, 4) first bin, bins, bands, first of lit */
+    FIT_WIDE_LIT = 18, /* int32: (band of a segment, 3) band, places of share and slope */
+    FIT_SEARCH_GAIN_PLACES = 19, /* int32: (lag + 1,) first run of each lag */
+    FIT_SEARCH_GAIN_RUNS = 20, /* int32: (run, 4) band, first bin, one past the last, place */
+    FIT_SEARCH_GAINS = 21, /* float32: (bin, ratio) of all runs */
+    FIT_SEARCH_COSTS = 22, /* float32: (lag, band, share, ratio) */
+    FIT_SEARCH_PLACES = 23, /* int32: (lag + 1,) first zone of each lag */
     FIT_SEARCH_RUNS = 24, /* int32: (run, 3) band, first bin, one past the last */
     FIT_SEARCH_WIDTHS = 25, /* float32: (lag, band) share of the background in a band's zone */
     FIT_SEARCH_SHARES = 26, /* float32: (lag, band) share of a band in its zone */
@@ -150,25 +151,25 @@ enum {
     CHANGE_REFERENCE_SIZES = 2, /* TableSizes */
     CHANGE_REFERENCE_RULES = 3, /* FitRules */
     CHANGE_REFERENCE_VIEW_BINS = 4, /* int32: (view,) sensor's bins */
-    CHANGE_REFERENCE_FINE_WIDTHS = 5, /* float32: (block, lane) share of the background */
-    CHANGE_REFERENCE_FINE_PLACES = 6, /* int32: (phase + 1,) first run of each phase */
-    CHANGE_REFERENCE_FINE_RUNS = 7, /* int32: (run, 4) band, first block, blocks, place in data */
-    CHANGE_REFERENCE_FINE_DATA = 8, /* float32: (place, lane) of each run all shares, then all slopes */
-    CHANGE_REFERENCE_FINE_PAIRS = 9, /* uint8: (pair, 2) bands that share a block, the greater first */
-    CHANGE_REFERENCE_FINE_MEETS = 10, /* int32: (phase + 1,) first meeting of each phase */
-    CHANGE_REFERENCE_FINE_MEETINGS = 11, /* int32: (meeting, 5) pair, first block, blocks, places */
-    CHANGE_REFERENCE_WIDE_WIDTHS = 12, /* float32: (block, lane) share of the background */
-    CHANGE_REFERENCE_WIDE_PLACES = 13, /* int32: (phase + 1,) first run of each phase */
-    CHANGE_REFERENCE_WIDE_RUNS = 14, /* int32: (run, 4) band, first block, blocks, place in data */
-    CHANGE_REFERENCE_WIDE_DATA = 15, /* float32: (place, lane) of each run all shares, then all slopes */
-    CHANGE_REFERENCE_WIDE_PAIRS = 16, /* uint8: (pair, 2) bands that share a block, the greater first */
-    CHANGE_REFERENCE_WIDE_MEETS = 17, /* int32: (phase + 1,) first meeting of each phase */
-    CHANGE_REFERENCE_WIDE_MEETINGS = 18, /* int32: (meeting, 5) pair, first block, blocks, places */
-    CHANGE_REFERENCE_SEARCH_SPAN_PLACES = 19, /* int32: (lag block · band + 1,) first span of each */
-    CHANGE_REFERENCE_SEARCH_SPANS = 20, /* int32: (span, 3) first bin, one past the last, place in gains */
-    CHANGE_REFERENCE_SEARCH_GAINS = 21, /* float32: (ratio, lane) for each bin of a span */
-    CHANGE_REFERENCE_SEARCH_COSTS = 22, /* float32: (block, band, ratio, lane) */
-    CHANGE_REFERENCE_SEARCH_PLACES = 23, /* int32: (lag + 1,) first run of each lag */
+    CHANGE_REFERENCE_FINE_WIDTHS = 5, /* float32: (block, bin) share of the background */
+    CHANGE_REFERENCE_FINE_RUN_PLACES = 6, /* int32: (phase + 1,) first run of each phase */
+    CHANGE_REFERENCE_FINE_RUNS = 7, /* int32: (run, 4) band, first bin, bins, place in data */
+    CHANGE_REFERENCE_FINE_DATA = 8, /* float32: (place,) of each run all shares, then all slopes */
+    CHANGE_REFERENCE_FINE_SEGMENT_PLACES = 9, /* int32: (phase + 1,) first segment of each phase */
+    CHANGE_REFERENCE_FINE_SEGMENTS = 10, /* int32: (segment, 4) first bin, bins, bands, first of lit */
+    CHANGE_REFERENCE_FINE_LIT = 11, /* int32: (band of a segment, 3) band, places of share and slope */
+    CHANGE_REFERENCE_WIDE_WIDTHS = 12, /* float32: (block, bin) share of the background */
+    CHANGE_REFERENCE_WIDE_RUN_PLACES = 13, /* int32: (phase + 1,) first run of each phase */
+    CHANGE_REFERENCE_WIDE_RUNS = 14, /* int32: (run, 4) band, first bin, bins, place in data */
+    CHANGE_REFERENCE_WIDE_DATA = 15, /* float32: (place,) of each run all shares, then all slopes */
+    CHANGE_REFERENCE_WIDE_SEGMENT_PLACES = 16, /* int32: (phase + 1,) first segment of each phase */
+    CHANGE_REFERENCE_WIDE_SEGMENTS = 17, /* int32: (segment, 4) first bin, bins, bands, first of lit */
+    CHANGE_REFERENCE_WIDE_LIT = 18, /* int32: (band of a segment, 3) band, places of share and slope */
+    CHANGE_REFERENCE_SEARCH_GAIN_PLACES = 19, /* int32: (lag + 1,) first run of each lag */
+    CHANGE_REFERENCE_SEARCH_GAIN_RUNS = 20, /* int32: (run, 4) band, first bin, one past the last, place */
+    CHANGE_REFERENCE_SEARCH_GAINS = 21, /* float32: (bin, ratio) of all runs */
+    CHANGE_REFERENCE_SEARCH_COSTS = 22, /* float32: (lag, band, share, ratio) */
+    CHANGE_REFERENCE_SEARCH_PLACES = 23, /* int32: (lag + 1,) first zone of each lag */
     CHANGE_REFERENCE_SEARCH_RUNS = 24, /* int32: (run, 3) band, first bin, one past the last */
     CHANGE_REFERENCE_SEARCH_WIDTHS = 25, /* float32: (lag, band) share of the background in a band's zone */
     CHANGE_REFERENCE_SEARCH_SHARES = 26, /* float32: (lag, band) share of a band in its zone */
@@ -187,25 +188,25 @@ enum {
     CHANGE_SIGNIFICANCE_SIZES = 2, /* TableSizes */
     CHANGE_SIGNIFICANCE_RULES = 3, /* FitRules */
     CHANGE_SIGNIFICANCE_VIEW_BINS = 4, /* int32: (view,) sensor's bins */
-    CHANGE_SIGNIFICANCE_FINE_WIDTHS = 5, /* float32: (block, lane) share of the background */
-    CHANGE_SIGNIFICANCE_FINE_PLACES = 6, /* int32: (phase + 1,) first run of each phase */
-    CHANGE_SIGNIFICANCE_FINE_RUNS = 7, /* int32: (run, 4) band, first block, blocks, place in data */
-    CHANGE_SIGNIFICANCE_FINE_DATA = 8, /* float32: (place, lane) of each run all shares, then all slopes */
-    CHANGE_SIGNIFICANCE_FINE_PAIRS = 9, /* uint8: (pair, 2) bands that share a block, the greater first */
-    CHANGE_SIGNIFICANCE_FINE_MEETS = 10, /* int32: (phase + 1,) first meeting of each phase */
-    CHANGE_SIGNIFICANCE_FINE_MEETINGS = 11, /* int32: (meeting, 5) pair, first block, blocks, places */
-    CHANGE_SIGNIFICANCE_WIDE_WIDTHS = 12, /* float32: (block, lane) share of the background */
-    CHANGE_SIGNIFICANCE_WIDE_PLACES = 13, /* int32: (phase + 1,) first run of each phase */
-    CHANGE_SIGNIFICANCE_WIDE_RUNS = 14, /* int32: (run, 4) band, first block, blocks, place in data */
-    CHANGE_SIGNIFICANCE_WIDE_DATA = 15, /* float32: (place, lane) of each run all shares, then all slopes */
-    CHANGE_SIGNIFICANCE_WIDE_PAIRS = 16, /* uint8: (pair, 2) bands that share a block, the greater first */
-    CHANGE_SIGNIFICANCE_WIDE_MEETS = 17, /* int32: (phase + 1,) first meeting of each phase */
-    CHANGE_SIGNIFICANCE_WIDE_MEETINGS = 18, /* int32: (meeting, 5) pair, first block, blocks, places */
-    CHANGE_SIGNIFICANCE_SEARCH_SPAN_PLACES = 19, /* int32: (lag block · band + 1,) first span of each */
-    CHANGE_SIGNIFICANCE_SEARCH_SPANS = 20, /* int32: (span, 3) first bin, one past the last, place in gains */
-    CHANGE_SIGNIFICANCE_SEARCH_GAINS = 21, /* float32: (ratio, lane) for each bin of a span */
-    CHANGE_SIGNIFICANCE_SEARCH_COSTS = 22, /* float32: (block, band, ratio, lane) */
-    CHANGE_SIGNIFICANCE_SEARCH_PLACES = 23, /* int32: (lag + 1,) first run of each lag */
+    CHANGE_SIGNIFICANCE_FINE_WIDTHS = 5, /* float32: (block, bin) share of the background */
+    CHANGE_SIGNIFICANCE_FINE_RUN_PLACES = 6, /* int32: (phase + 1,) first run of each phase */
+    CHANGE_SIGNIFICANCE_FINE_RUNS = 7, /* int32: (run, 4) band, first bin, bins, place in data */
+    CHANGE_SIGNIFICANCE_FINE_DATA = 8, /* float32: (place,) of each run all shares, then all slopes */
+    CHANGE_SIGNIFICANCE_FINE_SEGMENT_PLACES = 9, /* int32: (phase + 1,) first segment of each phase */
+    CHANGE_SIGNIFICANCE_FINE_SEGMENTS = 10, /* int32: (segment, 4) first bin, bins, bands, first of lit */
+    CHANGE_SIGNIFICANCE_FINE_LIT = 11, /* int32: (band of a segment, 3) band, places of share and slope */
+    CHANGE_SIGNIFICANCE_WIDE_WIDTHS = 12, /* float32: (block, bin) share of the background */
+    CHANGE_SIGNIFICANCE_WIDE_RUN_PLACES = 13, /* int32: (phase + 1,) first run of each phase */
+    CHANGE_SIGNIFICANCE_WIDE_RUNS = 14, /* int32: (run, 4) band, first bin, bins, place in data */
+    CHANGE_SIGNIFICANCE_WIDE_DATA = 15, /* float32: (place,) of each run all shares, then all slopes */
+    CHANGE_SIGNIFICANCE_WIDE_SEGMENT_PLACES = 16, /* int32: (phase + 1,) first segment of each phase */
+    CHANGE_SIGNIFICANCE_WIDE_SEGMENTS = 17, /* int32: (segment, 4) first bin, bins, bands, first of lit */
+    CHANGE_SIGNIFICANCE_WIDE_LIT = 18, /* int32: (band of a segment, 3) band, places of share and slope */
+    CHANGE_SIGNIFICANCE_SEARCH_GAIN_PLACES = 19, /* int32: (lag + 1,) first run of each lag */
+    CHANGE_SIGNIFICANCE_SEARCH_GAIN_RUNS = 20, /* int32: (run, 4) band, first bin, one past the last, place */
+    CHANGE_SIGNIFICANCE_SEARCH_GAINS = 21, /* float32: (bin, ratio) of all runs */
+    CHANGE_SIGNIFICANCE_SEARCH_COSTS = 22, /* float32: (lag, band, share, ratio) */
+    CHANGE_SIGNIFICANCE_SEARCH_PLACES = 23, /* int32: (lag + 1,) first zone of each lag */
     CHANGE_SIGNIFICANCE_SEARCH_RUNS = 24, /* int32: (run, 3) band, first bin, one past the last */
     CHANGE_SIGNIFICANCE_SEARCH_WIDTHS = 25, /* float32: (lag, band) share of the background in a band's zone */
     CHANGE_SIGNIFICANCE_SEARCH_SHARES = 26, /* float32: (lag, band) share of a band in its zone */

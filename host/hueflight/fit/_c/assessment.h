@@ -1,192 +1,20 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Whether one surface explains a fitted pixel's counts; see assessment.py, which is the definition.
- * Sums over bins are made one pixel at a time, a vector of bins at once; what follows from them is
- * computed for as many pixels as there are lanes. */
-
-typedef struct {
-    const float *contrasts;  /* contrasts × bands */
-    const float *curvatures; /* bands */
-    const float *moments;    /* points × 2: mean and variance of a count's deviance */
-} AssessmentTables;
-
-/* Sums of the screen: Pearson's χ², 1 ÷ expected counts; of delay and both contrasts the pull and the
- * products; of broadening the pull and its variance. */
-enum { S_CHI, S_ODD, S_T, S_D, S_E, S_TT, S_TD, S_TE, S_DD, S_DE, S_EE, S_Q, S_QQ, SCREEN_SUMS };
-#define SCREEN_ROOM ((SCREEN_SUMS + LANES - 1) / LANES * LANES)
-
-typedef struct {
-    float sums[TILE][SCREEN_ROOM];
-} Screen;
-
-INLINE vec cube_root(vec x)
-{
-    ivec positive = x > 1e-30f, bits;
-    x = choose(positive, x, fill(1.0f));
-    vec third = __builtin_convertvector((ivec)x, vec) * (1.0f / 3);
-    bits = __builtin_convertvector(third, ivec) + 709921077;
-    vec y = (vec)bits; /* to some per cent; Halley's steps cube the error */
-    for (int i = 0; i < 3; i++) {
-        vec cube = y * y * y;
-        y *= (cube + 2.0f * x) / (2.0f * cube + x);
-    }
-    return choose(positive, y, (vec){0});
-}
-
-/* Standard normal scores of gamma variates over their mean (Wilson and Hilferty). */
-INLINE vec gamma_scores(vec ratio, vec shape)
-{
-    return (cube_root(ratio) - (1.0f - 1.0f / (9.0f * shape))) * root(9.0f * shape);
-}
-
-/* Scores of the quadratic form of one or two directions. `dd_raw` and `ee_raw` are their variances
- * before they were made orthogonal: where little is left of one, it says nothing. */
-INLINE vec contrast_scores(const FitRules *rules, vec d, vec e, vec dd, vec de, vec ee, vec dd_raw,
-                           vec ee_raw)
-{
-    ivec usable = dd > rules->distinct * dd_raw;
-    dd = choose(usable, dd, fill(1.0f));
-    vec first = choose(usable, d * d / dd, (vec){0}), single = gamma_scores(first, fill(0.5f));
-    if (rules->contrasts < 2)
-        return single;
-    vec share = de / dd, rest = ee - share * de;
-    ivec distinct = usable & (rest > rules->distinct * ee_raw);
-    vec second = e - share * d;
-    second *= second / choose(distinct, rest, fill(1.0f));
-    return choose(distinct, gamma_scores(0.5f * (first + second), fill(1.0f)), single);
-}
+/* The full test of whether one surface explains a fitted pixel's counts; see assessment.py, which is the
+ * definition. Few pixels get it: sums over bins are made one pixel at a time, a vector of bins at
+ * once; what follows from them is computed for as many pixels as there are lanes. */
 
 typedef struct {
     float amplitudes[MOST_BANDS], background;
 } Fitted;
 
-INLINE Fitted fitted_of(const ModelTables *tables, const Candidate *candidate)
+INLINE Fitted fitted_of(const ModelTables *tables, const float *track)
 {
     Fitted fitted;
     for (int k = 0; k < tables->bands; k++)
-        fitted.amplitudes[k] = candidate->amplitudes[k] > 0 ? candidate->amplitudes[k] : 0;
+        fitted.amplitudes[k] = track[AT_AMPLITUDES + k] > 0 ? track[AT_AMPLITUDES + k] : 0;
     float least = tables->rules.least_background;
-    fitted.background = candidate->background > least ? candidate->background : least;
+    fitted.background = track[AT_BACKGROUND] > least ? track[AT_BACKGROUND] : least;
     return fitted;
-}
-
-/* Σ a_k T'_k·pull at a tabulated delay. */
-INLINE vec slopes_along(const DelayTables *level, int phase, const float *amplitudes,
-                        const vec *pulls)
-{
-    vec whole = {0};
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
-        Run run = level->runs[i];
-        const float *slopes = level->data + ((size_t)run.place + (size_t)run.count) * LANES;
-        vec own = {0};
-        for (int v = 0; v < run.count; v++)
-            own += load(slopes + v * LANES) * pulls[run.block + v];
-        whole += amplitudes[run.band] * own;
-    }
-    return whole;
-}
-
-/* First and last tabulated delay of the second derivative; returns 1 ÷ their distance. */
-INLINE float around(const ModelTables *tables, int phase, int *before, int *after)
-{
-    const DelayTables *level = &tables->wide;
-    int reach = tables->rules.reach;
-    *before = phase > reach ? phase - reach : 0;
-    *after = phase + reach < level->phases ? phase + reach : level->phases - 1;
-    return 1 / ((float)(*after - *before) * level->phase_ns);
-}
-
-/* Sums of one pixel for the screen. `work` has room for two vectors a block. */
-INLINE void screen(const ModelTables *tables, const AssessmentTables *tests, const float *counts,
-                   const Fitted *fitted, int phase, vec *work, float *into)
-{
-    const DelayTables *level = &tables->wide;
-    int bands = tables->bands, contrasts = tables->rules.contrasts;
-    vec *weights = work, *pulls = weights + level->blocks, made[SCREEN_ROOM];
-    vec chi = {0}, odd = {0};
-    expect(level, phase, fitted->amplitudes, fitted->background, weights, NULL);
-    for (int v = 0; v < level->blocks; v++) {
-        vec weight = 1.0f / weights[v], residual = load(counts + v * LANES) - weights[v];
-        weights[v] = weight;
-        pulls[v] = weight * residual;
-        chi += pulls[v] * residual;
-        odd += choose(load(level->widths + v * LANES) > 0.0f, weight, (vec){0});
-    }
-    vec t = {0}, d = {0}, e = {0}, tt = {0}, td = {0}, te = {0}, dd = {0}, de = {0}, ee = {0}, qq = {0};
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
-        Run run = level->runs[i];
-        const float *slopes = level->data + ((size_t)run.place + (size_t)run.count) * LANES;
-        float a = fitted->amplitudes[run.band];
-        if (a == 0)
-            continue;
-        vec u = {0}, v = {0};
-        for (int j = 0; j < run.count; j++) {
-            vec slope = load(slopes + j * LANES);
-            u += slope * pulls[run.block + j];
-            v += slope * slope * weights[run.block + j];
-        }
-        float first = contrasts > 0 ? tests->contrasts[run.band] : 0;
-        float second = contrasts > 1 ? tests->contrasts[bands + run.band] : 0;
-        u *= a;
-        v *= a * a;
-        vec v_first = first * v, v_second = second * v;
-        t += u;
-        d += first * u;
-        e += second * u;
-        tt += v;
-        td += v_first;
-        te += v_second;
-        dd += first * v_first;
-        de += first * v_second;
-        ee += second * v_second;
-        qq += tests->curvatures[run.band] * v;
-    }
-    int before, after;
-    float apart = around(tables, phase, &before, &after);
-    made[S_Q] = apart * (slopes_along(level, after, fitted->amplitudes, pulls)
-                         - slopes_along(level, before, fitted->amplitudes, pulls));
-    made[S_CHI] = chi;
-    made[S_ODD] = odd;
-    made[S_T] = t;
-    made[S_D] = d;
-    made[S_E] = e;
-    made[S_TT] = tt;
-    made[S_TD] = td;
-    made[S_TE] = te;
-    made[S_DD] = dd;
-    made[S_DE] = de;
-    made[S_EE] = ee;
-    made[S_QQ] = qq;
-    for (int i = SCREEN_SUMS; i < SCREEN_ROOM; i++)
-        made[i] = (vec){0};
-    for (int i = 0; i < SCREEN_ROOM; i += LANES)
-        store(into + i, sums(made + i));
-}
-
-/* χ² and scores of as many pixels as there are lanes from their sums. */
-INLINE vec screen_scores(const ModelTables *tables, const float (*made)[SCREEN_ROOM], vec *chi_square)
-{
-    float turned[SCREEN_SUMS][LANES];
-    for (int lane = 0; lane < LANES; lane++)
-        for (int i = 0; i < SCREEN_SUMS; i++)
-            turned[i][lane] = made[lane][i];
-    vec s[SCREEN_SUMS];
-    for (int i = 0; i < SCREEN_SUMS; i++)
-        s[i] = load(turned[i]);
-    vec tt = s[S_TT] + LEAST, shift = s[S_T] / tt;
-    vec score = s[S_Q] / root(s[S_QQ] + LEAST);
-    float freedom = (float)(tables->wide.bins - tables->bands - 2);
-    *chi_square = fill(NAN);
-    if (freedom > 0) {
-        *chi_square = (s[S_CHI] - s[S_T] * shift) / freedom;
-        score = greater(score, gamma_scores(*chi_square, freedom * freedom
-                                                             / (2.0f * freedom + s[S_ODD])));
-    }
-    if (tables->rules.contrasts)
-        score = greater(score, contrast_scores(
-            &tables->rules, s[S_D] - s[S_TD] * shift, s[S_E] - s[S_TE] * shift,
-            s[S_DD] - s[S_TD] * s[S_TD] / tt, s[S_DE] - s[S_TD] * s[S_TE] / tt,
-            s[S_EE] - s[S_TE] * s[S_TE] / tt, s[S_DD], s[S_EE]));
-    return score;
 }
 
 /* What is summed over bins for all bands together. S is the derivative by the delay, Q that along
@@ -210,12 +38,30 @@ typedef struct {
 INLINE void add_slopes(const DelayTables *level, int phase, const float *amplitudes, float scale,
                        vec *curves)
 {
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+    for (int i = level->run_places[phase]; i < level->run_places[phase + 1]; i++) {
         Run run = level->runs[i];
-        const float *slopes = level->data + ((size_t)run.place + (size_t)run.count) * LANES;
+        const float *slopes = level->data + run.place + run.bins;
         float a = scale * amplitudes[run.band];
-        for (int v = 0; v < run.count; v++)
-            curves[run.block + v] += a * load(slopes + v * LANES);
+        for (int v = 0; v < run.bins; v += LANES)
+            curves[(run.bin + v) / LANES] += a * load(slopes + v);
+    }
+}
+
+/* Adds the weighted products of the shares of every two bands to the lane of the equations. */
+INLINE void add_pairs(const DelayTables *level, int phase, const float *weights, Equations *into,
+                      int lane)
+{
+    for (int i = level->segment_places[phase]; i < level->segment_places[phase + 1]; i++) {
+        const Segment *segment = level->segments + i;
+        const Lit *lit = level->lit + segment->lit;
+        for (int j = 1; j < segment->bands; j++)
+            for (int k = 0; k < j; k++) {
+                float both = 0;
+                for (int v = 0; v < segment->bins; v++)
+                    both += weights[segment->bin + v] * level->data[lit[j].shares + v]
+                          * level->data[lit[k].shares + v];
+                into->normal[AT(lit[j].band, lit[k].band)][lane] += both;
+            }
     }
 }
 
@@ -234,19 +80,20 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
     for (int v = 0; v < blocks; v++)
         means[v] = background * load(level->widths + v * LANES) + LEAST;
     memset(slopes, 0, sizeof(vec) * 4 * (size_t)blocks);
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+    for (int i = level->run_places[phase]; i < level->run_places[phase + 1]; i++) {
         Run run = level->runs[i];
-        const float *shares = level->data + (size_t)run.place * LANES;
-        const float *steep = shares + (size_t)run.count * LANES;
+        const float *shares = level->data + run.place;
+        const float *steep = shares + run.bins;
         float a = amplitudes[run.band];
         float d = contrasts > 0 ? a * tests->contrasts[run.band] : 0;
         float e = contrasts > 1 ? a * tests->contrasts[bands + run.band] : 0;
-        for (int v = 0; v < run.count; v++) {
+        for (int v = 0; v * LANES < run.bins; v++) {
+            int at = run.bin / LANES + v;
             vec slope = load(steep + v * LANES);
-            means[run.block + v] += a * load(shares + v * LANES);
-            slopes[run.block + v] += a * slope;
-            first[run.block + v] += d * slope;
-            second[run.block + v] += e * slope;
+            means[at] += a * load(shares + v * LANES);
+            slopes[at] += a * slope;
+            first[at] += d * slope;
+            second[at] += e * slope;
         }
     }
     int before, after;
@@ -254,9 +101,8 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
     add_slopes(level, after, amplitudes, apart, curves);
     add_slopes(level, before, amplitudes, -apart, curves);
 
-    vec all[A_COMMON + MOST_BANDS * A_SUMS + MOST_PAIRS + LANES];
-    vec *own = all + A_COMMON, *pairs = own + bands * A_SUMS;
-    int used = A_COMMON + bands * A_SUMS + level->pairs;
+    vec all[A_COMMON + MOST_BANDS * A_SUMS + LANES], *own = all + A_COMMON;
+    int used = A_COMMON + bands * A_SUMS;
     memset(all, 0, sizeof *all * (size_t)(used + LANES));
     for (int v = 0; v < blocks; v++) {
         vec w = 1.0f / means[v], width = load(level->widths + v * LANES);
@@ -288,12 +134,12 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
         second[v] = we;
         residuals[v] = wr;
     }
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+    for (int i = level->run_places[phase]; i < level->run_places[phase + 1]; i++) {
         Run run = level->runs[i];
-        const float *shares = level->data + (size_t)run.place * LANES;
+        const float *shares = level->data + run.place;
         vec tt = {0}, tw = {0}, ts = {0}, tr = {0}, tq = {0}, td = {0}, te = {0};
-        for (int v = 0; v < run.count; v++) {
-            int at = run.block + v;
+        for (int v = 0; v * LANES < run.bins; v++) {
+            int at = run.bin / LANES + v;
             vec t = load(shares + v * LANES), wt = means[at] * t;
             tt += wt * t;
             tw += wt * load(level->widths + at * LANES);
@@ -312,13 +158,12 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
         mine[A_TD] += td;
         mine[A_TE] += te;
     }
-    add_meetings(level, phase, means, pairs);
-    float made[(A_COMMON + MOST_BANDS * A_SUMS + MOST_PAIRS) / LANES * LANES + LANES];
+    float made[(A_COMMON + MOST_BANDS * A_SUMS) / LANES * LANES + LANES];
     for (int i = 0; i < used; i += LANES)
         store(made + i, sums(all + i));
 
     int b = bands, t = bands + 1;
-    const float *band = made + A_COMMON, *pair_sums = band + bands * A_SUMS;
+    const float *band = made + A_COMMON;
     for (int k = 0; k < bands; k++, band += A_SUMS) {
         into->normal[AT(k, k)][lane] = band[A_TT];
         into->normal[AT(b, k)][lane] = band[A_TW];
@@ -328,7 +173,7 @@ INLINE void project(const ModelTables *tables, const AssessmentTables *tests,
         to->sides[TO_D][k][lane] = band[A_TD];
         to->sides[TO_E][k][lane] = band[A_TE];
     }
-    put_pairs(level, bands, pair_sums, into, lane);
+    add_pairs(level, phase, (const float *)means, into, lane);
     into->normal[AT(b, b)][lane] = made[A_WW];
     into->normal[AT(t, b)][lane] = made[A_SW];
     into->normal[AT(t, t)][lane] = made[A_SS];
@@ -413,18 +258,19 @@ INLINE Second second_pass(const ModelTables *tables, const AssessmentTables *tes
         aside[v] = turn_b * width;
         slopes[v] = curves[v] = (vec){0};
     }
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+    for (int i = level->run_places[phase]; i < level->run_places[phase + 1]; i++) {
         Run run = level->runs[i];
-        const float *shares = level->data + (size_t)run.place * LANES;
-        const float *steep = shares + (size_t)run.count * LANES;
+        const float *shares = level->data + run.place;
+        const float *steep = shares + run.bins;
         float a = amplitudes[run.band], step = to->solved[TO_R][run.band][lane];
         float turn = to->solved[TO_Q][run.band][lane];
-        for (int v = 0; v < run.count; v++) {
+        for (int v = 0; v * LANES < run.bins; v++) {
+            int at = run.bin / LANES + v;
             vec share = load(shares + v * LANES);
-            means[run.block + v] += a * share;
-            moved[run.block + v] += step * share;
-            aside[run.block + v] += turn * share;
-            slopes[run.block + v] += a * load(steep + v * LANES);
+            means[at] += a * share;
+            moved[at] += step * share;
+            aside[at] += turn * share;
+            slopes[at] += a * load(steep + v * LANES);
         }
     }
     int before, after;
@@ -439,26 +285,28 @@ INLINE Second second_pass(const ModelTables *tables, const AssessmentTables *tes
         moved[v] += means[v] + step_t * s;
         aside[v] = curves[v] - aside[v] - turn_t * s;
     }
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
+    for (int i = level->run_places[phase]; i < level->run_places[phase + 1]; i++) {
         Run run = level->runs[i];
-        const float *shares = level->data + (size_t)run.place * LANES;
+        const float *shares = level->data + run.place;
         int k = run.band;
         float kk = c[AT(k, k)][lane], bk = 2 * c[AT(b, k)][lane], tk = 2 * c[AT(t, k)][lane];
-        for (int v = 0; v < run.count; v++) {
-            int at = run.block + v;
+        for (int v = 0; v * LANES < run.bins; v++) {
+            int at = run.bin / LANES + v;
             vec share = load(shares + v * LANES);
             leverage[at] += share * (kk * share + bk * load(level->widths + at * LANES)
                                      + tk * slopes[at]);
         }
     }
-    for (int i = level->meets[phase]; i < level->meets[phase + 1]; i++) {
-        Meeting meeting = level->meetings[i];
-        const float *one = level->data + (size_t)meeting.one * LANES;
-        const float *other = level->data + (size_t)meeting.other * LANES;
-        const uint8_t *pair = level->pair_bands + 2 * meeting.pair;
-        float jk = 2 * c[AT(pair[0], pair[1])][lane];
-        for (int v = 0; v < meeting.count; v++)
-            leverage[meeting.block + v] += jk * load(one + v * LANES) * load(other + v * LANES);
+    for (int i = level->segment_places[phase]; i < level->segment_places[phase + 1]; i++) {
+        const Segment *segment = level->segments + i;
+        const Lit *lit = level->lit + segment->lit;
+        float *both = (float *)leverage + segment->bin;
+        for (int j = 1; j < segment->bands; j++)
+            for (int k = 0; k < j; k++) {
+                float jk = 2 * c[AT(lit[j].band, lit[k].band)][lane];
+                for (int v = 0; v < segment->bins; v++)
+                    both[v] += jk * level->data[lit[j].shares + v] * level->data[lit[k].shares + v];
+            }
     }
     vec cubed = {0}, deviance = {0}, mean = {0}, variance = {0};
     vec last = fill((float)(rules->points - 1));
@@ -499,10 +347,11 @@ INLINE Second second_pass(const ModelTables *tables, const AssessmentTables *tes
     return (Second){sum(cubed), sum(deviance) / 2, sum(mean) / 2, sum(variance) / 2};
 }
 
-/* Full tests of at most as many pixels as there are lanes; `which` are their places in the tile. */
-INLINE vec full_scores(const ModelTables *tables, const AssessmentTables *tests, const float *counts,
-                       size_t stride, const float *arrivals, const Candidate *candidates,
-                       const int *which, int count, vec *work, Equations *equations)
+/* Full tests of at most as many pixels as there are lanes: their numbers, and by number their counts,
+ * delays in the pixel and tracks. */
+APART vec full_scores(const ModelTables *tables, const AssessmentTables *tests, const float *counts,
+                       size_t stride, const float *arrivals, const float *tracks, const int32_t *which,
+                       int count, vec *work, Equations *equations)
 {
     int bands = tables->bands, size = bands + 2, contrasts = tables->rules.contrasts;
     Fitted fitted[LANES];
@@ -516,7 +365,7 @@ INLINE vec full_scores(const ModelTables *tables, const AssessmentTables *tests,
         equations->normal[AT(i, i)] = fill(1.0f);
     for (int lane = 0; lane < count; lane++) {
         int p = which[lane];
-        fitted[lane] = fitted_of(tables, candidates + p);
+        fitted[lane] = fitted_of(tables, tracks + (size_t)p * track_room(bands));
         project(tables, tests, counts + (size_t)p * stride, &fitted[lane],
                 phase_of(&tables->wide, arrivals[p]), work, equations, &to, lane);
     }
@@ -552,40 +401,3 @@ INLINE vec full_scores(const ModelTables *tables, const AssessmentTables *tests,
     return greater(score, gamma_scores(load(deviance) / load(mean), shape));
 }
 
-/* Tests of a tile's pixels. `counts` are theirs at the bins of the search, `stride` apart, and
- * `arrivals` the delays in the pixels. `work` has room for six vectors a block. */
-INLINE void assess(const ModelTables *tables, const AssessmentTables *tests, const float *counts,
-                   size_t stride, const float *arrivals, const Candidate *candidates, int count,
-                   vec *work, Equations *equations, double *chi_square, double *misfit)
-{
-    if (!tables->rules.assessed) {
-        for (int p = 0; p < count; p++)
-            chi_square[p] = misfit[p] = (double)NAN;
-        return;
-    }
-    Screen screened;
-    int asked[TILE], some = 0;
-    for (int p = 0; p < count; p++) {
-        Fitted fitted = fitted_of(tables, candidates + p);
-        screen(tables, tests, counts + (size_t)p * stride, &fitted,
-               phase_of(&tables->wide, arrivals[p]), work, screened.sums[p]);
-    }
-    for (int p = count; p % LANES; p++)
-        memset(screened.sums[p], 0, sizeof screened.sums[p]);
-    for (int p = 0; p < count; p += LANES) {
-        vec chi, score = screen_scores(tables, screened.sums + p, &chi);
-        for (int lane = 0; lane < LANES && p + lane < count; lane++) {
-            chi_square[p + lane] = (double)chi[lane];
-            misfit[p + lane] = (double)score[lane];
-            if (score[lane] > tables->rules.asked)
-                asked[some++] = p + lane;
-        }
-    }
-    for (int i = 0; i < some; i += LANES) {
-        int left = some - i < LANES ? some - i : LANES;
-        vec score = full_scores(tables, tests, counts, stride, arrivals, candidates, asked + i, left,
-                                work, equations);
-        for (int lane = 0; lane < left; lane++)
-            misfit[asked[i + lane]] = (double)score[lane];
-    }
-}

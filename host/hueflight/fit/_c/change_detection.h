@@ -19,8 +19,10 @@ INLINE const float *wide_counts(const ModelTables *tables, const Light *light, s
         const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
         const char *low = by < 0 ? from + (tables->bins - 1) * by : from;
         fours_of_16((const uint16_t *)low, tables->bins, by < 0, scratch->wide);
-    } else
-        prepare(tables, light, pixel, 0, 0, scratch);
+    } else {
+        prepare(tables, light, pixel, 0, scratch->sensor, scratch->earlier, scratch->fine);
+        group(tables, tables->factor, tables->search.factor, scratch->fine, scratch->wide);
+    }
     return scratch->wide;
 }
 

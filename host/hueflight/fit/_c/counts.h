@@ -8,6 +8,18 @@ typedef struct {
     char type;
 } Light;
 
+INLINE const char *row_of(const Light *light, size_t pixel)
+{
+    return light->data + (Py_ssize_t)pixel * light->pixel_step;
+}
+
+/* Whether bins lie next to one another. */
+INLINE int is_dense(const Light *light)
+{
+    Py_ssize_t size = light->type == 'H' ? 2 : 4;
+    return light->bin_step == size || light->bin_step == -size;
+}
+
 /* 16 bits each to floats, whole vectors of them as far as they go. */
 INLINE void widen(const uint16_t *from, int count, float *to)
 {
@@ -35,11 +47,10 @@ INLINE void widen(const uint16_t *from, int count, float *to)
 BACKWARDS(backwards_16, uint16_t)
 BACKWARDS(backwards_32, uint32_t)
 
-/* Counts of one pixel as floats, in the sensor's bins. Memory is read upwards, whichever way time
+/* Counts of one pixel as floats, from its first bin on. Memory is read upwards, whichever way time
  * runs: processors fetch ahead that way only. */
-INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
+INLINE void read_row(const Light *light, const char *from, int bins, float *to)
 {
-    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
     Py_ssize_t by = light->bin_step;
     const char *low = by < 0 ? from + (bins - 1) * by : from;
     if (light->type == 'H' && by == 2)
@@ -65,9 +76,8 @@ INLINE void read_counts(const Light *light, size_t pixel, int bins, float *to)
 }
 
 /* Prefetches a pixel's counts. */
-INLINE void fetch(const Light *light, size_t pixel, int bins)
+INLINE void fetch_row(const Light *light, const char *from, int bins)
 {
-    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
     Py_ssize_t span = (bins - 1) * light->bin_step;
     const char *low = span < 0 ? from + span : from;
     for (Py_ssize_t at = 0; at <= (span < 0 ? -span : span); at += 64)
@@ -152,45 +162,61 @@ INLINE int group(const ModelTables *tables, int before, int factor, const float 
     return made;
 }
 
+/* Sums of counts next to one another, of all and of those before bin `first` and from bin `last` on,
+ * in a type that holds them; tells whether a counter is at the end of its own type. */
+#define SUM_DENSE(NAME, TYPE, SUM, MOST)                                                          \
+    INLINE int NAME(const TYPE *counts, int bins, int first, int last, double *all,               \
+                    double *outside)                                                              \
+    {                                                                                             \
+        SUM sum = 0, apart = 0;                                                                   \
+        TYPE most = 0;                                                                            \
+        for (int i = 0; i < bins; i++) {                                                          \
+            sum += counts[i];                                                                     \
+            most = counts[i] > most ? counts[i] : most;                                           \
+        }                                                                                         \
+        for (int i = 0; i < first; i++)                                                           \
+            apart += counts[i];                                                                   \
+        for (int i = last; i < bins; i++)                                                         \
+            apart += counts[i];                                                                   \
+        *all = (double)sum;                                                                       \
+        *outside = (double)apart;                                                                 \
+        return most == MOST;                                                                      \
+    }
+SUM_DENSE(sum_dense_16, uint16_t, uint32_t, UINT16_MAX) /* of at most 2¹⁶ bins */
+SUM_DENSE(sum_dense_32, uint32_t, uint64_t, UINT32_MAX)
+
 /* Sums of one pixel's counts, of all and of those from `low` up to `high`; `full` tells whether a
  * counter is at the end of its type. */
 INLINE void sum_counts(const Light *light, size_t pixel, int bins, int low, int high, double *all,
                        double *lit, uint8_t *full)
 {
-    const char *from = light->data + (Py_ssize_t)pixel * light->pixel_step;
+    const char *from = row_of(light, pixel);
     Py_ssize_t by = light->bin_step;
-    double whole = 0, inside = 0;
     *full = 0;
-    if (light->type == 'H' && (by == 2 || by == -2)) {
-        const uint16_t *counts = (const uint16_t *)(by > 0 ? from : from + (bins - 1) * by);
+    if (is_dense(light) && light->type != 'f') {
+        const char *lowest = by > 0 ? from : from + (bins - 1) * by;
         int first = by > 0 ? low : bins - high, last = by > 0 ? high : bins - low;
-        uint32_t sum = 0, apart = 0;
-        uint16_t most = 0;
-        for (int i = 0; i < bins; i++) {
-            sum += counts[i];
-            most = counts[i] > most ? counts[i] : most;
-        }
-        for (int i = 0; i < first; i++)
-            apart += counts[i];
-        for (int i = last; i < bins; i++)
-            apart += counts[i];
-        *full = most == UINT16_MAX;
-        whole = sum;
-        inside = sum - apart;
-    } else
-        for (int i = 0; i < bins; i++, from += by) {
-            double count;
-            if (light->type == 'H') {
-                count = *(const uint16_t *)from;
-                *full |= *(const uint16_t *)from == UINT16_MAX;
-            } else if (light->type == 'I') {
-                count = *(const uint32_t *)from;
-                *full |= *(const uint32_t *)from == UINT32_MAX;
-            } else
-                count = (double)*(const float *)from;
-            whole += count;
-            inside += i >= low && i < high ? count : 0;
-        }
+        double outside;
+        *full = (uint8_t)(light->type == 'H'
+                              ? sum_dense_16((const uint16_t *)lowest, bins, first, last, all, &outside)
+                              : sum_dense_32((const uint32_t *)lowest, bins, first, last, all, &outside));
+        *lit = *all - outside;
+        return;
+    }
+    double whole = 0, inside = 0;
+    for (int i = 0; i < bins; i++, from += by) {
+        double count;
+        if (light->type == 'H') {
+            count = *(const uint16_t *)from;
+            *full |= *(const uint16_t *)from == UINT16_MAX;
+        } else if (light->type == 'I') {
+            count = *(const uint32_t *)from;
+            *full |= *(const uint32_t *)from == UINT32_MAX;
+        } else
+            count = (double)*(const float *)from;
+        whole += count;
+        inside += i >= low && i < high ? count : 0;
+    }
     *all = whole;
     *lit = inside;
 }
@@ -234,4 +260,22 @@ INLINE void coates_correct(float *counts, int bins, float rate, float *earlier)
     scale = total / (all > 1e-30f ? all : 1e-30f);
     for (int v = 0; v < blocks; v++)
         store(counts + v * LANES, load(counts + v * LANES) * scale);
+}
+
+/* Whether fine counts must be computed and kept, because memory does not hold them as they are. */
+INLINE int kept_apart(const ModelTables *tables, const Light *light, int corrected)
+{
+    return corrected || tables->factor > 1 || !is_dense(light);
+}
+
+/* Counts of one pixel at the fine bins. `sensor` and `earlier` have room for all of the sensor's. */
+INLINE void prepare(const ModelTables *tables, const Light *light, size_t pixel, float rate,
+                    float *sensor, float *earlier, float *fine)
+{
+    float *to = tables->factor == 1 ? fine : sensor;
+    read_row(light, light->data + (Py_ssize_t)pixel * light->pixel_step, tables->bins, to);
+    if (rate > 0)
+        coates_correct(to, tables->bins, rate, earlier);
+    if (tables->factor > 1)
+        group(tables, 1, tables->factor, sensor, fine);
 }

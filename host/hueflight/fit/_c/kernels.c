@@ -13,15 +13,17 @@
 #include "abi.h"
 #include "vector.h"
 #include "tables.h"
+#include "counts.h"
+#include "simd_transpose.h"
+#include "side_by_side.h"
+#include "tracks.h"
 #include "scoring.h"
 #include "search.h"
 #include "likelihood.h"
-#include "detection.h"
+#include "screening.h"
 #include "assessment.h"
-#include "counts.h"
 #include "fit.h"
 #include "change_detection.h"
-#include "simd_transpose.h"
 #include "correlation.h"
 #include "paper.h"
 
@@ -33,8 +35,10 @@
 #define QUOTED(x) #x
 #define TEXT(name) QUOTED(name)
 
-static size_t vectors(int bins) { return (size_t)((bins + LANES - 1) / LANES * LANES); }
+/* Bins of whole blocks. */
+static size_t whole(int bins) { return (size_t)((bins + BLOCK_BINS - 1) / BLOCK_BINS * BLOCK_BINS); }
 
+/* The next part of a block of memory, or what it would be without a block. */
 static void *take(char **place, size_t bytes)
 {
     char *here = *place;
@@ -42,30 +46,52 @@ static void *take(char **place, size_t bytes)
     return here;
 }
 
-/* All scratch memory from one block, or NULL. */
-static char *make_scratch(const ModelTables *tables, Scratch *scratch)
+/* Lays out scratch memory for so many pixels from a place on; returns how many bytes it takes. `kept`
+ * tells whether their fine counts need room. */
+static size_t lay_out_scratch(const ModelTables *tables, int pixels, int kept, char *begin,
+                              Scratch *scratch)
 {
-    scratch->lags = vectors(tables->search.lags);
-    scratch->fine_stride = (size_t)tables->fine.blocks * LANES + 16; /* not a power of two */
-    scratch->wide_stride = (size_t)tables->wide.blocks * LANES + 16;
-    size_t work = 6 * sizeof(vec) * (size_t)tables->fine.blocks;
-    size_t bytes = 64 * 16
-                 + TILE * 4 * (scratch->fine_stride + scratch->wide_stride)
-                 + 8 * vectors(tables->bins) + BATCH * 5 * scratch->lags + work
-                 + sizeof(Equations) + CANDIDATES * sizeof(Candidate);
-    char *block = calloc(bytes, 1);
-    if (!block)
-        return NULL;
-    char *place = (char *)(((uintptr_t)block + 63) / 64 * 64);
-    scratch->fine = take(&place, TILE * 4 * scratch->fine_stride);
-    scratch->wide = take(&place, TILE * 4 * scratch->wide_stride);
-    scratch->sensor = take(&place, 4 * vectors(tables->bins));
-    scratch->earlier = take(&place, 4 * vectors(tables->bins));
-    scratch->scores = take(&place, BATCH * 4 * scratch->lags);
-    scratch->tried = take(&place, BATCH * scratch->lags);
-    scratch->work = take(&place, work);
+    char *place = begin;
+    size_t some = (size_t)pixels, tracks = 2 * some, lags = (size_t)tables->search.lags * TOGETHER;
+    size_t fine = whole(tables->fine.bins), wide = whole(tables->wide.bins);
+    size_t phases = (size_t)(tables->fine.phases > tables->wide.phases ? tables->fine.phases
+                                                                       : tables->wide.phases);
+    size_t work = 6 * fine / LANES > 3 * wide ? 6 * fine / LANES : 3 * wide;
+    scratch->fine_stride = fine + 16; /* not a power of two */
+    scratch->wide_stride = wide + 16;
+    scratch->fine = take(&place, kept ? some * 4 * scratch->fine_stride : 0);
+    scratch->wide = take(&place, some * 4 * scratch->wide_stride);
+    scratch->sensor = take(&place, 4 * whole(tables->bins));
+    scratch->earlier = take(&place, 4 * whole(tables->bins));
+    scratch->counts = take(&place, sizeof(vec) * fine);
+    scratch->sums = take(&place, sizeof(vec) * wide * TOGETHER);
+    scratch->scores = take(&place, sizeof(vec) * lags);
+    scratch->shares = take(&place, sizeof(vec) * lags);
+    scratch->work = take(&place, sizeof(vec) * work);
     scratch->equations = take(&place, sizeof(Equations));
-    scratch->candidates = take(&place, CANDIDATES * sizeof(Candidate));
+    scratch->tracks = take(&place, tracks * 4 * track_room(tables->bands));
+    scratch->pixel = take(&place, 4 * tracks);
+    scratch->phase = take(&place, 4 * tracks);
+    scratch->active = take(&place, 4 * tracks);
+    scratch->sorted = take(&place, 4 * tracks);
+    scratch->places = take(&place, 4 * (phases + 1));
+    scratch->steps = take(&place, tracks);
+    scratch->second = take(&place, 4 * some);
+    scratch->rows = take(&place, sizeof(char *) * some);
+    scratch->offsets = take(&place, 4 * some);
+    scratch->arrivals = take(&place, 4 * some);
+    scratch->others = take(&place, 4 * some);
+    scratch->tested = take(&place, some);
+    return (size_t)(place - begin);
+}
+
+/* All scratch memory from one block, or NULL. */
+static char *make_scratch(const ModelTables *tables, int pixels, int kept, Scratch *scratch)
+{
+    static char nothing[64];
+    char *block = calloc(lay_out_scratch(tables, pixels, kept, nothing, scratch) + 64, 1);
+    if (block)
+        lay_out_scratch(tables, pixels, kept, (char *)(((uintptr_t)block + 63) / 64 * 64), scratch);
     return block;
 }
 
@@ -85,13 +111,13 @@ _Static_assert((int)CHANGE_REFERENCE_BUFFERS <= (int)MOST_BUFFERS
 #define DELAY_TABLES(LEVEL, PLACE)                                                                \
     (DelayTables)                                                                                 \
     {                                                                                             \
-        .bins = sizes->LEVEL##_bins, .blocks = sizes->LEVEL##_blocks,                             \
+        .bins = sizes->LEVEL##_bins, .blocks = sizes->LEVEL##_blocks * (BLOCK_BINS / LANES),      \
         .phases = sizes->LEVEL##_phases, .first_ns = sizes->LEVEL##_first_ns,                     \
         .phase_ns = sizes->LEVEL##_phase_ns, .widths = held[FIT_##PLACE##_WIDTHS].buf,            \
-        .places = held[FIT_##PLACE##_PLACES].buf, .runs = held[FIT_##PLACE##_RUNS].buf,           \
-        .data = held[FIT_##PLACE##_DATA].buf, .pairs = (int)(held[FIT_##PLACE##_PAIRS].len / 2),  \
-        .pair_bands = held[FIT_##PLACE##_PAIRS].buf, .meets = held[FIT_##PLACE##_MEETS].buf,      \
-        .meetings = held[FIT_##PLACE##_MEETINGS].buf                                              \
+        .run_places = held[FIT_##PLACE##_RUN_PLACES].buf, .runs = held[FIT_##PLACE##_RUNS].buf,   \
+        .data = held[FIT_##PLACE##_DATA].buf, .segments = held[FIT_##PLACE##_SEGMENTS].buf,       \
+        .segment_places = held[FIT_##PLACE##_SEGMENT_PLACES].buf,                                 \
+        .lit = held[FIT_##PLACE##_LIT].buf                                                        \
     }
 
 static void make_tables(const Py_buffer *held, ModelTables *tables)
@@ -104,8 +130,8 @@ static void make_tables(const Py_buffer *held, ModelTables *tables)
         .fine = DELAY_TABLES(fine, FINE), .wide = DELAY_TABLES(wide, WIDE),
         .search = {.factor = sizes->wide_factor, .bins = sizes->search_bins, .lags = sizes->lags,
                    .separation = sizes->separation, .first_ns = sizes->first_lag_ns,
-                   .step_ns = sizes->lag_ns, .span_places = held[FIT_SEARCH_SPAN_PLACES].buf,
-                   .spans = held[FIT_SEARCH_SPANS].buf,
+                   .step_ns = sizes->lag_ns, .gain_places = held[FIT_SEARCH_GAIN_PLACES].buf,
+                   .gain_runs = held[FIT_SEARCH_GAIN_RUNS].buf,
                    .gains = held[FIT_SEARCH_GAINS].buf, .costs = held[FIT_SEARCH_COSTS].buf,
                    .places = held[FIT_SEARCH_PLACES].buf, .runs = held[FIT_SEARCH_RUNS].buf,
                    .widths = held[FIT_SEARCH_WIDTHS].buf, .shares = held[FIT_SEARCH_SHARES].buf},
@@ -240,7 +266,9 @@ static int run_fit(Call *call)
     AssessmentTables tests = {held[FIT_CONTRASTS].buf, held[FIT_CURVATURES].buf,
                               held[FIT_MOMENTS].buf};
     Scratch scratch;
-    call->block = make_scratch(&tables, &scratch);
+    int together = call->pixels < CHUNK ? (int)call->pixels : CHUNK;
+    int kept = kept_apart(&tables, &call->light, held[FIT_RATES].len > 0);
+    call->block = make_scratch(&tables, together, kept, &scratch);
     if (!allocated(call))
         return 0;
     Py_BEGIN_ALLOW_THREADS
@@ -270,7 +298,7 @@ static int run_change_reference(Call *call)
         || !holds(call, CHANGE_REFERENCE_REFERENCE, 4 * room))
         return refuse("change_reference: buffers do not fit one another");
     Scratch scratch;
-    call->block = make_scratch(&tables, &scratch);
+    call->block = make_scratch(&tables, 1, 1, &scratch);
     if (!allocated(call))
         return 0;
     const float *delays = held[CHANGE_REFERENCE_DELAYS].buf;
@@ -308,7 +336,7 @@ static int run_change_significance(Call *call)
                < 4 * room * (size_t)call->light.pixels)
         return refuse("change_significance: buffers do not fit one another");
     Scratch scratch;
-    call->block = make_scratch(&tables, &scratch);
+    call->block = make_scratch(&tables, 1, 1, &scratch);
     if (!allocated(call))
         return 0;
     const float *delays = held[CHANGE_SIGNIFICANCE_DELAYS].buf;
@@ -320,7 +348,7 @@ static int run_change_significance(Call *call)
         size_t pixel = (size_t)call->which[i];
         if (i + 2 < call->pixels) {
             size_t next = (size_t)call->which[i + 2];
-            fetch(&call->light, next, tables.bins);
+            fetch_row(&call->light, row_of(&call->light, next), tables.bins);
             fetch_reference(reference + next * room, room);
         }
         const float *now = wide_counts(&tables, &call->light, pixel, &scratch);
@@ -353,7 +381,7 @@ static int run_sums(Call *call)
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
         if (i + 4 < call->pixels)
-            fetch(&call->light, (size_t)call->which[i + 4], bins);
+            fetch_row(&call->light, row_of(&call->light, (size_t)call->which[i + 4]), bins);
         sum_counts(&call->light, (size_t)call->which[i], bins, (int)span[0], (int)span[1], all + i,
                    inside + i, full + i);
     }

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Fisher scoring of as many candidates as a vector has lanes: sums over bins for one candidate at a
- * time, a vector of bins at once; then the normal equations of all candidates, one in each lane. */
+/* Fisher scoring of tracks of one tabulated delay, one in each lane: sums over bins, which read the
+ * tables once for all of them, and the normal equations. */
 
 typedef struct {
     vec normal[MOST_SIZE * (MOST_SIZE + 1) / 2]; /* lower triangle, rows one after another */
@@ -10,152 +10,163 @@ typedef struct {
 
 #define AT(row, col) ((row) * ((row) + 1) / 2 + (col))
 
-INLINE int phase_of(const DelayTables *level, float delay)
+/* Adds the bins of a segment that `lit_bands` bands light, the same for all calls of one function, so
+ * that sums stay in registers. */
+INLINE void add_segment(const ModelTables *tables, const DelayTables *level, const Segment *segment,
+                        const vec *counts, const vec *amplitudes, vec background, Equations *e,
+                        const int lit_bands)
 {
-    int phase = (int)rintf((delay - level->first_ns) / level->phase_ns);
-    return phase < 0 ? 0 : phase >= level->phases ? level->phases - 1 : phase;
-}
-
-INLINE float floor_of(const FitRules *rules, float total)
-{
-    return rules->floor_photons + rules->floor_share * total;
-}
-
-/* Expected counts of all blocks, and with `slopes` their derivative by the delay. */
-INLINE void expect(const DelayTables *level, int phase, const float *amplitudes, float background,
-                   vec *means, vec *slopes)
-{
-    for (int v = 0; v < level->blocks; v++) {
-        means[v] = background * load(level->widths + v * LANES) + LEAST;
-        if (slopes)
-            slopes[v] = (vec){0};
+    enum { ROOM = 3 };
+    const Lit *lit = level->lit + segment->lit;
+    const float *widths = level->widths + segment->bin, *shares[ROOM], *slopes[ROOM];
+    int b = tables->bands, t = b + 1, bins = segment->bins;
+    vec a[ROOM], self[ROOM], width[ROOM], along[ROOM], seen[ROOM], pair[ROOM];
+    counts += segment->bin;
+#pragma GCC unroll 3
+    for (int i = 0; i < lit_bands; i++) {
+        int k = lit[i].band;
+        shares[i] = level->data + lit[i].shares;
+        slopes[i] = level->data + lit[i].slopes;
+        a[i] = amplitudes[k];
+        self[i] = e->normal[AT(k, k)];
+        width[i] = e->normal[AT(b, k)];
+        along[i] = e->normal[AT(t, k)];
+        seen[i] = e->right[k];
+#pragma GCC unroll 3
+        for (int j = 0; j < i; j++)
+            pair[i + j - 1] = e->normal[AT(k, lit[j].band)];
     }
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
-        Run run = level->runs[i];
-        const float *shares = level->data + (size_t)run.place * LANES;
-        float a = amplitudes[run.band];
-        for (int v = 0; v < run.count; v++) {
-            means[run.block + v] += a * load(shares + v * LANES);
-            if (slopes)
-                slopes[run.block + v] += a * load(shares + (run.count + v) * LANES);
+    vec bb = e->normal[AT(b, b)], tb = e->normal[AT(t, b)], tt = e->normal[AT(t, t)];
+    vec rb = e->right[b], rt = e->right[t], cubic = e->cubic;
+    for (int v = 0; v < bins; v++) {
+        float w = widths[v];
+        vec h = counts[v], mean = background * w + LEAST, slope = {0};
+#pragma GCC unroll 3
+        for (int i = 0; i < lit_bands; i++) {
+            mean += a[i] * shares[i][v];
+            slope += a[i] * slopes[i][v];
+        }
+        vec weight = reciprocal(mean), flat = weight * w;
+        bb += flat * w;
+        rb += flat * h;
+        if (lit_bands) {
+            vec steep = weight * slope;
+            tt += steep * slope;
+            tb += steep * w;
+            rt += steep * h;
+            cubic += steep * steep * slope;
+        }
+#pragma GCC unroll 3
+        for (int i = 0; i < lit_bands; i++) {
+            vec x = weight * shares[i][v];
+            self[i] += x * shares[i][v];
+            width[i] += x * w;
+            along[i] += x * slope;
+            seen[i] += x * h;
+#pragma GCC unroll 3
+            for (int j = 0; j < i; j++)
+                pair[i + j - 1] += x * shares[j][v];
+        }
+    }
+#pragma GCC unroll 3
+    for (int i = 0; i < lit_bands; i++) {
+        int k = lit[i].band;
+        e->normal[AT(k, k)] = self[i];
+        e->normal[AT(b, k)] = width[i];
+        e->normal[AT(t, k)] = along[i];
+        e->right[k] = seen[i];
+#pragma GCC unroll 3
+        for (int j = 0; j < i; j++)
+            e->normal[AT(k, lit[j].band)] = pair[i + j - 1];
+    }
+    e->normal[AT(b, b)] = bb;
+    e->normal[AT(t, b)] = tb;
+    e->normal[AT(t, t)] = tt;
+    e->right[b] = rb;
+    e->right[t] = rt;
+    e->cubic = cubic;
+}
+
+/* The same for any number of bands. */
+APART void add_many(const ModelTables *tables, const DelayTables *level, const Segment *segment,
+                    const vec *counts, const vec *amplitudes, vec background, Equations *e)
+{
+    const Lit *lit = level->lit + segment->lit;
+    int b = tables->bands, t = b + 1;
+    for (int v = 0; v < segment->bins; v++) {
+        float w = level->widths[segment->bin + v];
+        vec h = counts[segment->bin + v], mean = background * w + LEAST, slope = {0};
+        for (int i = 0; i < segment->bands; i++) {
+            mean += amplitudes[lit[i].band] * level->data[lit[i].shares + v];
+            slope += amplitudes[lit[i].band] * level->data[lit[i].slopes + v];
+        }
+        vec weight = reciprocal(mean), steep = weight * slope, flat = weight * w;
+        e->normal[AT(b, b)] += flat * w;
+        e->normal[AT(t, b)] += steep * w;
+        e->normal[AT(t, t)] += steep * slope;
+        e->right[b] += flat * h;
+        e->right[t] += steep * h;
+        e->cubic += steep * steep * slope;
+        for (int i = 0; i < segment->bands; i++) {
+            int k = lit[i].band;
+            float share = level->data[lit[i].shares + v];
+            vec x = weight * share;
+            e->normal[AT(k, k)] += x * share;
+            e->normal[AT(b, k)] += x * w;
+            e->normal[AT(t, k)] += x * slope;
+            e->right[k] += x * h;
+            for (int j = 0; j < i; j++)
+                e->normal[AT(k, lit[j].band)] += x * level->data[lit[j].shares + v];
         }
     }
 }
 
-/* What is summed over bins: for all bands together, for each one. */
-enum { TT, TB, BB, RT, RB, CUBIC, COMMON };
-enum { SELF, WIDTH, SLOPE, COUNTS, SUMS };
-#define MOST_PAIRS (MOST_BANDS * (MOST_BANDS - 1) / 2)
-
-/* Adds the weighted products of the shares of two bands, of every pair that shares bins. */
-INLINE void add_meetings(const DelayTables *level, int phase, const vec *weights, vec *pairs)
-{
-    for (int i = level->meets[phase]; i < level->meets[phase + 1]; i++) {
-        Meeting meeting = level->meetings[i];
-        const float *one = level->data + (size_t)meeting.one * LANES;
-        const float *other = level->data + (size_t)meeting.other * LANES;
-        vec both = {0};
-        for (int v = 0; v < meeting.count; v++)
-            both += load(one + v * LANES) * weights[meeting.block + v] * load(other + v * LANES);
-        pairs[meeting.pair] += both;
+/* One function for each number of bands: a compiler that inlined them would round differently. */
+#define ADD(NAME, BANDS)                                                                          \
+    APART void NAME(                                                   \
+        const ModelTables *tables, const DelayTables *level, const Segment *segment,              \
+        const vec *counts, const vec *amplitudes, vec background, Equations *e)                   \
+    {                                                                                             \
+        add_segment(tables, level, segment, counts, amplitudes, background, e, BANDS);            \
     }
-}
+ADD(add_none, 0)
+ADD(add_one, 1)
+ADD(add_two, 2)
+ADD(add_three, 3)
 
-/* Puts their sums into the lane of the equations; bands that share no bins have none. */
-INLINE void put_pairs(const DelayTables *level, int bands, const float *made, Equations *into,
-                      int lane)
-{
-    for (int k = 0; k < bands; k++)
-        for (int j = 0; j < k; j++)
-            into->normal[AT(k, j)][lane] = 0;
-    for (int i = 0; i < level->pairs; i++)
-        into->normal[AT(level->pair_bands[2 * i], level->pair_bands[2 * i + 1])][lane] = made[i];
-}
+enum { READ_BINS = 32 }; /* bins that are read at once, so that they are used while in the cache */
 
-/* Sums of one candidate over all bins, into its lane of the equations. `work` has room for five
- * vectors a block. */
-INLINE void accumulate(const DelayTables *level, const FitRules *rules, const float *counts,
-                       float total, const Candidate *candidate, int bands, int phase, vec *work,
-                       Equations *into, int lane)
+/* Sums over all bins. Counts are read on the way: `counts` has room for all bins. */
+INLINE void accumulate(const ModelTables *tables, const DelayTables *level, const Source *source,
+                       int phase, const vec *amplitudes, vec background, vec *counts, Equations *e)
 {
-    float amplitudes[MOST_BANDS];
-    for (int k = 0; k < bands; k++)
-        amplitudes[k] = candidate->amplitudes[k] > 0 ? candidate->amplitudes[k] : 0;
-    float least = floor_of(rules, total);
-    float background = candidate->background > least ? candidate->background : least;
-    vec *weights = work, *along = work + level->blocks, *seen = along + level->blocks;
-    vec *flat = seen + level->blocks;
-    expect(level, phase, amplitudes, background, weights, along);
-    vec tt = {0}, tb = {0}, bb = {0}, rt = {0}, rb = {0}, cubic = {0};
-    for (int v = 0; v < level->blocks; v++) {
-        vec h = load(counts + v * LANES), width = load(level->widths + v * LANES);
-        vec weight = 1.0f / weights[v], slope = along[v], steep = weight * slope;
-        weights[v] = weight;
-        along[v] = steep;
-        seen[v] = weight * h;
-        flat[v] = weight * width;
-        tt += steep * slope;
-        tb += steep * width;
-        bb += flat[v] * width;
-        rt += steep * h;
-        rb += flat[v] * h;
-        cubic += steep * steep * slope;
-    }
-    vec all[COMMON + MOST_BANDS * SUMS + MOST_PAIRS + LANES];
-    vec *own = all + COMMON, *pairs = own + bands * SUMS;
-    int used = COMMON + bands * SUMS + level->pairs;
-    memset(own, 0, sizeof *own * (size_t)(used - COMMON + LANES));
-    all[TT] = tt;
-    all[TB] = tb;
-    all[BB] = bb;
-    all[RT] = rt;
-    all[RB] = rb;
-    all[CUBIC] = cubic;
-    for (int i = level->places[phase]; i < level->places[phase + 1]; i++) {
-        Run run = level->runs[i];
-        const float *shares = level->data + (size_t)run.place * LANES;
-        vec self = {0}, width = {0}, slope = {0}, count = {0};
-        for (int v = 0; v < run.count; v++) {
-            vec shape = load(shares + v * LANES);
-            self += shape * weights[run.block + v] * shape;
-            width += shape * flat[run.block + v];
-            slope += shape * along[run.block + v];
-            count += shape * seen[run.block + v];
+    memset(e->normal, 0, sizeof(vec) * (size_t)AT(tables->bands + 2, 0));
+    memset(e->right, 0, sizeof(vec) * (size_t)(tables->bands + 2));
+    e->cubic = (vec){0};
+    int ready = 0;
+    for (int i = level->segment_places[phase]; i < level->segment_places[phase + 1]; i++) {
+        const Segment *segment = level->segments + i;
+        for (int next; ready < segment->bin + segment->bins; ready = next) {
+            next = ready + READ_BINS < level->bins ? ready + READ_BINS : level->bins;
+            read_side_by_side(source, ready, next, counts);
         }
-        vec *mine = own + run.band * SUMS;
-        mine[SELF] += self;
-        mine[WIDTH] += width;
-        mine[SLOPE] += slope;
-        mine[COUNTS] += count;
+        switch (segment->bands) {
+        case 0: add_none(tables, level, segment, counts, amplitudes, background, e); break;
+        case 1: add_one(tables, level, segment, counts, amplitudes, background, e); break;
+        case 2: add_two(tables, level, segment, counts, amplitudes, background, e); break;
+        case 3: add_three(tables, level, segment, counts, amplitudes, background, e); break;
+        default: add_many(tables, level, segment, counts, amplitudes, background, e);
+        }
     }
-    add_meetings(level, phase, weights, pairs);
-    float made[(COMMON + MOST_BANDS * SUMS + MOST_PAIRS) / LANES * LANES + LANES];
-    for (int i = 0; i < used; i += LANES)
-        store(made + i, sums(all + i));
-    int b = bands, t = bands + 1;
-    const float *band_sums = made + COMMON, *pair_sums = band_sums + bands * SUMS;
-    for (int k = 0; k < bands; k++, band_sums += SUMS) {
-        into->normal[AT(k, k)][lane] = band_sums[SELF];
-        into->normal[AT(b, k)][lane] = band_sums[WIDTH];
-        into->normal[AT(t, k)][lane] = band_sums[SLOPE];
-        into->right[k][lane] = band_sums[COUNTS];
-    }
-    put_pairs(level, bands, pair_sums, into, lane);
-    into->normal[AT(b, b)][lane] = made[BB];
-    into->normal[AT(t, b)][lane] = made[TB];
-    into->normal[AT(t, t)][lane] = made[TT];
-    into->right[b][lane] = made[RB];
-    into->right[t][lane] = made[RT];
-    into->cubic[lane] = made[CUBIC];
 }
 
 /* Solve the systems of all lanes by Cholesky's method. The inverse's lower factor replaces the normal
  * matrix and the solution the right side, both in the parameters' own scale. */
-INLINE void solve(Equations *e, int size, float ridge)
+APART void solve(Equations *e, int size, float ridge)
 {
     vec scale[MOST_SIZE], inverse[MOST_SIZE];
     for (int i = 0; i < size; i++)
-        scale[i] = 1.0f / root(e->normal[AT(i, i)]);
+        scale[i] = reciprocal_root(e->normal[AT(i, i)]);
     for (int i = 0; i < size; i++)
         for (int j = 0; j <= i; j++)
             e->normal[AT(i, j)] *= scale[i] * scale[j];
@@ -163,7 +174,7 @@ INLINE void solve(Equations *e, int size, float ridge)
         vec diagonal = e->normal[AT(j, j)] + ridge;
         for (int k = 0; k < j; k++)
             diagonal -= e->normal[AT(j, k)] * e->normal[AT(j, k)];
-        inverse[j] = 1.0f / root(greater(diagonal, fill(0.5f * ridge)));
+        inverse[j] = reciprocal_root(greater(diagonal, fill(0.5f * ridge)));
         for (int i = j + 1; i < size; i++) {
             vec x = e->normal[AT(i, j)];
             for (int k = 0; k < j; k++)
@@ -200,65 +211,55 @@ INLINE void solve(Equations *e, int size, float ridge)
             e->normal[AT(i, j)] *= scale[j];
 }
 
-/* One step of scoring for as many candidates as there are lanes, or fewer. `moved` tells of each one
- * whether its delay or an amplitude moved by more than what a settled one may. */
-INLINE void step(const ModelTables *tables, const DelayTables *level, const float *counts, size_t stride,
-                 const float *totals, const float *offsets, Candidate *const *candidates, int count,
-                 vec *work, Equations *e, int *moved)
+/* One step of scoring of tracks that have the same phase, of which `count` are wanted and the others
+ * repeat one of them. `again` tells of each one whether it needs a further step: its delay or an
+ * amplitude moved by more than what a settled one may, or it has taken too few. */
+INLINE void step(const ModelTables *tables, const DelayTables *level, const Source *source, int phase,
+                 float *const *tracks, int count, vec *counts, Equations *e, ivec *moved, ivec *few)
 {
     const FitRules *rules = &tables->rules;
     int bands = tables->bands, size = bands + 2, t = bands + 1;
     float near = rules->settled * rules->settled;
     float alike = rules->settled_amplitude * rules->settled_amplitude;
     float range = rules->high_ns - rules->low_ns, widest = 12 / (range * range);
-    float here[LANES];
-    for (int lane = 0; lane < LANES; lane++) { /* spare lanes repeat the first candidate */
-        const Candidate *candidate = candidates[lane < count ? lane : 0];
-        if (lane >= count) {
-            for (int i = 0; i < AT(size, 0); i++)
-                e->normal[i][lane] = e->normal[i][0];
-            for (int i = 0; i < size; i++)
-                e->right[i][lane] = e->right[i][0];
-            continue;
-        }
-        int phase = phase_of(level, candidate->delay);
-        here[lane] = level->first_ns + (float)phase * level->phase_ns;
-        accumulate(level, rules, counts + (size_t)candidate->pixel * stride, totals[candidate->pixel],
-                   candidate, bands, phase, work, e, lane);
-        float most = 2 * totals[candidate->pixel] + 10, known = 1 / (most * most);
-        for (int k = 0; k <= bands; k++)
-            e->normal[AT(k, k)][lane] += known;
-        e->normal[AT(t, t)][lane] += widest;
-    }
+    vec now[AT_AMPLITUDES + 3 * MOST_BANDS + 1 + 2 * LANES], amplitudes[MOST_BANDS];
+    read_fields((const float *const *)tracks, AT_AMPLITUDES + bands, now);
+    vec total = now[AT_TOTAL], least = rules->floor_photons + rules->floor_share * total;
+    for (int k = 0; k < bands; k++)
+        amplitudes[k] = greater(now[AT_AMPLITUDES + k], (vec){0});
+    accumulate(tables, level, source, phase, amplitudes, greater(now[AT_BACKGROUND], least), counts, e);
+    vec most = 2.0f * total + 10.0f, known = 1.0f / (most * most);
+    for (int k = 0; k <= bands; k++)
+        e->normal[AT(k, k)] += known;
+    e->normal[AT(t, t)] += widest;
     solve(e, size, rules->ridge);
-    vec spread[MOST_BANDS];
+
+    vec limit = fill(rules->spread_ns), low = now[AT_OFFSET] + rules->low_ns;
+    vec delay = level->first_ns + (float)phase * level->phase_ns
+              + lesser(greater(e->right[t], -limit), limit);
+    delay = lesser(greater(delay, low), now[AT_OFFSET] + rules->high_ns);
+    vec tip = e->normal[AT(t, t)], change = delay - now[AT_DELAY], variance = tip * tip;
+    *moved = change * change > near * variance;
+    *few = variance > rules->spread_ns * rules->spread_ns / rules->few_photons;
+    now[AT_DELAY] = delay;
+    now[AT_BACKGROUND] = e->right[bands];
+    now[AT_VARIANCE] = variance;
+    now[AT_CUBIC] = e->cubic;
     for (int k = 0; k < bands; k++) {
-        spread[k] = (vec){0};
+        vec spread = {0};
         for (int i = k; i < size; i++)
-            spread[k] += e->normal[AT(i, k)] * e->normal[AT(i, k)];
+            spread += e->normal[AT(i, k)] * e->normal[AT(i, k)];
+        change = e->right[k] - now[AT_AMPLITUDES + k];
+        *moved |= change * change > alike * spread;
+        now[AT_AMPLITUDES + k] = e->right[k];
+        now[spread_place(bands) + k] = spread;
     }
-    for (int lane = 0; lane < count; lane++) {
-        Candidate *candidate = candidates[lane];
-        float move = e->right[t][lane], limit = rules->spread_ns;
-        move = move > limit ? limit : move < -limit ? -limit : move;
-        float offset = offsets[candidate->pixel];
-        float low = offset + rules->low_ns, high = offset + rules->high_ns;
-        float delay = here[lane] + move;
-        delay = delay < low ? low : delay > high ? high : delay;
-        candidate->background = e->right[bands][lane];
-        candidate->cubic = e->cubic[lane];
-        float tip = e->normal[AT(t, t)][lane];
-        candidate->variance = tip * tip;
-        float change = delay - candidate->delay;
-        moved[lane] = change * change > near * tip * tip;
-        candidate->delay = delay;
+    int fields = follow_place(bands);
+    if (any(variance > rules->spread_ns * rules->spread_ns / rules->posterior_photons)) {
+        vec inverse = 1.0f / tip;
         for (int k = 0; k <= bands; k++) /* change of a parameter that follows the delay's */
-            candidate->follow[k] = e->normal[AT(t, k)][lane] / tip;
-        for (int k = 0; k < bands; k++) {
-            change = e->right[k][lane] - candidate->amplitudes[k];
-            moved[lane] |= change * change > alike * spread[k][lane];
-            candidate->amplitudes[k] = e->right[k][lane];
-            candidate->spread[k] = spread[k][lane];
-        }
+            now[fields + k] = e->normal[AT(t, k)] * inverse;
+        fields = track_fields(bands);
     }
+    write_fields(now, fields, tracks, count);
 }

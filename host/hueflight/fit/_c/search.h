@@ -1,122 +1,174 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The first search: the likelihood of all lags, a vector of lags at once. */
+/* The first search: the likelihood of all lags of TOGETHER groups of pixels, one pixel in each lane.
+ * Several groups share what is read of the tables, and keep the processor's units busy. */
+enum { TOGETHER = 2 };
 
-/* Log-likelihood of every lag of BATCH pixels, and which share of background each had; scores
- * outside a pixel's range are −∞. The tables are larger than the nearest cache: what is read of
- * them serves all pixels. */
-INLINE void search_lags(const ModelTables *tables, const float *counts, size_t stride,
-                        const float *totals, const float *offsets, float *scores, int8_t *tried,
-                        size_t room)
+/* What the search of one group leaves behind. */
+typedef struct {
+    ivec best, second; /* lags; the second is −1 where there is none */
+    vec worse;         /* log-likelihood by which the second is worse */
+} Found;
+
+/* Sums of each pixel's fine bins at the bins of the search, for each bin one vector a group; returns
+ * the sum of all bins of group `mine`. */
+INLINE vec sum_abreast(const ModelTables *tables, const vec *fine, vec *wide, int mine)
+{
+    int factor = tables->search.factor;
+    vec total = {0};
+    wide += mine;
+    for (int v = 0; v < tables->views; v++) {
+        int size = (tables->sizes[v] + tables->factor - 1) / tables->factor;
+        for (int first = 0; first < size; first += factor, wide += TOGETHER) {
+            int some = size - first < factor ? size - first : factor;
+            vec x = *fine++;
+            for (int i = 1; i < some; i++)
+                x += *fine++;
+            *wide = x;
+            total += x;
+        }
+    }
+    return total;
+}
+
+/* Log-likelihood of every lag and which share of background it had, for each lag one vector a group;
+ * scores outside a pixel's range are −∞. */
+APART void search_lags(const ModelTables *tables, const vec *wide, const vec *totals,
+                        const vec *offsets, vec *scores, vec *shares)
 {
     const SearchTables *search = &tables->search;
     const FitRules *rules = &tables->rules;
-    int blocks = (search->lags + LANES - 1) / LANES;
-    for (int block = 0; block < blocks; block++) {
-        vec parts[BATCH][MOST_BANDS][RATIOS];
-        const int32_t *places = search->span_places + (size_t)block * (size_t)tables->bands;
-        for (int k = 0; k < tables->bands; k++) {
-            vec some[BATCH][RATIOS] = {{{0}}};
-            for (int i = places[k]; i < places[k + 1]; i++) {
-                const int32_t *span = search->spans + (size_t)i * 3;
-                const float *gains = search->gains + (size_t)span[2];
-                for (int j = span[0]; j < span[1]; j++, gains += RATIOS * LANES)
-                    for (int p = 0; p < BATCH; p++) {
-                        float h = counts[(size_t)p * stride + (size_t)j];
+    float margin = search->lags > 1 ? search->step_ns / 2 : INFINITY;
+    for (int lag = 0; lag < search->lags; lag++) {
+        vec score[BACKGROUND_SHARES][TOGETHER];
+        for (int s = 0; s < BACKGROUND_SHARES; s++)
+            for (int g = 0; g < TOGETHER; g++)
+                score[s][g] = totals[g] * rules->background_logs[s]
+                            - totals[g] * rules->background_shares[s];
+        int i = search->gain_places[lag], end = search->gain_places[lag + 1];
+        while (i < end) {
+            int band = search->gain_runs[i].band;
+            vec some[TOGETHER][RATIOS] = {{{0}}};
+            for (; i < end && search->gain_runs[i].band == band; i++) {
+                GainRun run = search->gain_runs[i];
+                const float *gains = search->gains + run.place;
+                for (int j = run.first; j < run.last; j++, gains += RATIOS)
+                    for (int g = 0; g < TOGETHER; g++)
                         for (int r = 0; r < RATIOS; r++)
-                            some[p][r] += h * load(gains + r * LANES);
-                    }
+                            some[g][r] += wide[j * TOGETHER + g] * gains[r];
             }
-            for (int p = 0; p < BATCH; p++)
-                for (int r = 0; r < RATIOS; r++)
-                    parts[p][k][r] = some[p][r];
-        }
-        for (int p = 0; p < BATCH; p++) {
-            vec best = fill(-INFINITY);
-            ivec which = {0};
-            for (int s = 0; s < BACKGROUND_SHARES; s++) {
-                float background = rules->background_shares[s] * totals[p];
-                vec score = fill(totals[p] * rules->background_logs[s] - background);
-                const float *cost = search->costs + (size_t)block * (size_t)tables->bands * RATIOS * LANES;
-                for (int k = 0; k < tables->bands; k++, cost += RATIOS * LANES) {
+            const float *cost = search->costs + (size_t)(lag * tables->bands + band)
+                                                    * BACKGROUND_SHARES * RATIOS;
+            for (int s = 0; s < BACKGROUND_SHARES; s++, cost += RATIOS)
+                for (int g = 0; g < TOGETHER; g++) {
                     vec gained = {0};
                     for (int r = 0; r < RATIOS; r++)
-                        gained = greater(gained, parts[p][k][r] - background * load(cost + r * LANES));
-                    score += gained;
+                        gained = greater(gained, some[g][r] - totals[g] * cost[r]);
+                    score[s][g] += gained;
                 }
-                ivec better = score > best;
-                best = choose(better, score, best);
-                which = (better & (s - (ivec){0})) | (~better & which);
+        }
+        float at = search->first_ns + (float)lag * search->step_ns;
+        for (int g = 0; g < TOGETHER; g++) {
+            vec best = score[0][g], share = fill(rules->background_shares[0]);
+            for (int s = 1; s < BACKGROUND_SHARES; s++) {
+                ivec better = score[s][g] > best;
+                best = choose(better, score[s][g], best);
+                share = choose(better, fill(rules->background_shares[s]), share);
             }
-            store(scores + (size_t)p * room + block * LANES, best);
-            for (int lane = 0; lane < LANES; lane++)
-                tried[(size_t)p * room + (size_t)(block * LANES + lane)] = (int8_t)which[lane];
-        }
-    }
-    float margin = search->lags > 1 ? search->step_ns / 2 : INFINITY;
-    for (int p = 0; p < BATCH; p++) {
-        float low = offsets[p] + rules->low_ns - margin, high = offsets[p] + rules->high_ns + margin;
-        for (int lag = 0; lag < search->lags; lag++) {
-            float at = search->first_ns + (float)lag * search->step_ns;
-            if (at < low || at > high)
-                scores[(size_t)p * room + (size_t)lag] = -INFINITY;
+            ivec outside = (at < offsets[g] + rules->low_ns - margin)
+                         | (at > offsets[g] + rules->high_ns + margin);
+            scores[lag * TOGETHER + g] = choose(outside, fill(-INFINITY), best);
+            shares[lag * TOGETHER + g] = share;
         }
     }
 }
 
-/* Highest lag, and the highest that is farther off: −1 if there is none. */
-INLINE void two_best(const SearchTables *search, const float *scores, int *best, int *second)
+/* The highest lag of each pixel, and the highest that is farther off. */
+INLINE Found two_best(const SearchTables *search, const vec *scores)
 {
-    *best = 0;
-    for (int lag = 1; lag < search->lags; lag++)
-        if (scores[lag] > scores[*best])
-            *best = lag;
-    *second = -1;
-    for (int lag = 0; lag < search->lags; lag++) {
-        int far = lag > *best ? lag - *best : *best - lag;
-        if (far >= search->separation && isfinite(scores[lag])
-            && (*second < 0 || scores[lag] > scores[*second]))
-            *second = lag;
+    Found found = {.second = (ivec){0} - 1};
+    vec top = scores[0], next = fill(-INFINITY);
+    for (int lag = 1; lag < search->lags; lag++) {
+        vec score = scores[lag * TOGETHER];
+        ivec above = score > top;
+        top = choose(above, score, top);
+        found.best = (above & lag) | (~above & found.best);
     }
+    for (int lag = 0; lag < search->lags; lag++) {
+        vec score = scores[lag * TOGETHER];
+        ivec apart = lag - found.best;
+        apart = ((apart >= search->separation) | (apart <= -search->separation)) & (score > next);
+        next = choose(apart, score, next);
+        found.second = (apart & lag) | (~apart & found.second);
+    }
+    found.worse = choose(found.second >= 0, top - next, fill(INFINITY));
+    return found;
 }
 
-/* First values of a candidate: delay from a parabola through three lags, amplitudes from the bands' zones,
- * background from the bins in none of them. */
-INLINE void start(const ModelTables *tables, const float *counts, float total, const float *scores,
-                  const int8_t *tried, int lag, Candidate *candidate)
+/* Counts of the pixels in each band's zone at one lag. */
+INLINE void sum_zones(const ModelTables *tables, const vec *wide, int lag, vec *inside)
 {
     const SearchTables *search = &tables->search;
-    float shift = 0;
-    if (lag > 0 && lag < search->lags - 1) {
-        float left = scores[lag - 1], right = scores[lag + 1];
-        float bend = left - 2 * scores[lag] + right;
-        if (isfinite(bend) && bend < 0) {
-            shift = 0.5f * (left - right) / bend;
-            shift = shift > 0.5f ? 0.5f : shift < -0.5f ? -0.5f : shift;
-        }
-    }
-    candidate->delay = search->first_ns + ((float)lag + shift) * search->step_ns;
-    candidate->steps = 0;
-    candidate->live = 1;
-    float inside[MOST_BANDS] = {0}, dark = total, dark_width = 1;
+    memset(inside, 0, sizeof *inside * (size_t)tables->bands);
     for (int run = search->places[lag]; run < search->places[lag + 1]; run++) {
         const int32_t *bins = search->runs + (size_t)run * 3;
-        float here = 0;
+        vec here = {0};
         for (int j = bins[1]; j < bins[2]; j++)
-            here += counts[j];
+            here += wide[j * TOGETHER];
         inside[bins[0]] += here;
     }
-    const float *widths = search->widths + (size_t)lag * (size_t)tables->bands;
-    const float *shares = search->shares + (size_t)lag * (size_t)tables->bands;
-    for (int k = 0; k < tables->bands; k++) {
-        dark -= inside[k];
-        dark_width -= widths[k];
+}
+
+/* Delays of pixels from a parabola through three lags. */
+INLINE vec peak_delays(const SearchTables *search, const vec *scores, ivec lags)
+{
+    vec left = fill(-INFINITY), here = left, right = left;
+    for (int lag = 0; lag < search->lags; lag++) {
+        vec score = scores[lag * TOGETHER];
+        left = choose(lags - 1 == lag, score, left);
+        here = choose(lags == lag, score, here);
+        right = choose(lags + 1 == lag, score, right);
     }
-    candidate->background = dark_width > tables->rules.dark_width
-                            ? dark / dark_width
-                            : tables->rules.background_shares[tried[lag]] * total;
-    for (int k = 0; k < tables->bands; k++) {
-        float share = shares[k] > LEAST_SHARE ? shares[k] : LEAST_SHARE;
-        float a = (inside[k] - candidate->background * widths[k]) / share;
-        candidate->amplitudes[k] = a > 0 ? a : 0;
+    vec bend = left - 2.0f * here + right;
+    ivec inner = (bend < 0.0f) & (bend > -INFINITY);
+    vec shift = 0.5f * (left - right) / choose(inner, bend, fill(1.0f));
+    shift = choose(inner, lesser(greater(shift, fill(-0.5f)), fill(0.5f)), (vec){0});
+    return search->first_ns + (__builtin_convertvector(lags, vec) + shift) * search->step_ns;
+}
+
+/* First values of tracks at a lag of each pixel: amplitudes from the bands' zones, background from the
+ * bins in none of them. Pixels without a lag (−1) get none. */
+APART void start(const ModelTables *tables, const vec *wide, vec total, const vec *scores,
+                  const vec *tried, ivec lags, vec *fields)
+{
+    const SearchTables *search = &tables->search;
+    int32_t lag_of[LANES];
+    memcpy(lag_of, &lags, sizeof lag_of);
+    fields[AT_DELAY] = peak_delays(search, scores, lags);
+    for (int k = -1; k < tables->bands; k++)
+        fields[k < 0 ? AT_BACKGROUND : AT_AMPLITUDES + k] = (vec){0};
+    for (int lane = 0; lane < LANES; lane++) {
+        int lag = lag_of[lane], done = lag < 0;
+        for (int before = 0; before < lane; before++)
+            done |= lag_of[before] == lag;
+        if (done)
+            continue;
+        ivec mine = lags == lag;
+        vec inside[MOST_BANDS], dark = total;
+        float dark_width = 1;
+        const float *widths = search->widths + (size_t)lag * (size_t)tables->bands;
+        const float *shares = search->shares + (size_t)lag * (size_t)tables->bands;
+        sum_zones(tables, wide, lag, inside);
+        for (int k = 0; k < tables->bands; k++) {
+            dark -= inside[k];
+            dark_width -= widths[k];
+        }
+        vec background = dark_width > tables->rules.dark_width ? dark / dark_width
+                                                               : tried[lag * TOGETHER] * total;
+        fields[AT_BACKGROUND] = choose(mine, background, fields[AT_BACKGROUND]);
+        for (int k = 0; k < tables->bands; k++) {
+            float share = shares[k] > LEAST_SHARE ? shares[k] : LEAST_SHARE;
+            vec a = greater((inside[k] - background * widths[k]) / share, (vec){0});
+            fields[AT_AMPLITUDES + k] = choose(mine, a, fields[AT_AMPLITUDES + k]);
+        }
     }
 }

@@ -52,6 +52,18 @@ INLINE void transpose(ivec *x)
     }
 }
 
+INLINE void transpose_floats(vec *x)
+{
+    ivec bits[LANES];
+#pragma GCC unroll 16
+    for (int i = 0; i < LANES; i++)
+        bits[i] = (ivec)x[i];
+    transpose(bits);
+#pragma GCC unroll 16
+    for (int i = 0; i < LANES; i++)
+        x[i] = (vec)bits[i];
+}
+
 /* Of pairs of 16 bits in the order of memory: one, the other, and the pair between two pairs. */
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__
 INLINE ivec first_of(ivec pair) { return (ivec)((uvec)pair >> 16); }
@@ -102,12 +114,6 @@ INLINE void transposed_words(const Light *light, const char *const *row, int at,
         read_words(from, 4 * LANES, 1, words);
     else
         read_words(from, 4 * LANES, 0, words);
-}
-
-INLINE int is_dense(const Light *light)
-{
-    Py_ssize_t size = light->type == 'H' ? 2 : 4;
-    return light->bin_step == size || light->bin_step == -size;
 }
 
 #define EACH_COUNT(TYPE)                                                                          \

@@ -1,41 +1,46 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The tables of the fit as packing.py lays them out, and the state of pixels during the fit. */
+/* The tables of the fit as packing.py lays them out. */
 #define MOST_SIZE (MOST_BANDS + 2)
-#define TILE 64        /* pixels at once */
-#define CANDIDATES (2 * TILE)
-#define BATCH 4        /* pixels that are searched together */
 
-/* Successive blocks of bins, a vector each, that one band lights. */
+/* Successive blocks of bins that one band lights. */
 typedef struct {
-    int32_t band, block, count, place; /* place of its first vector in a level's data */
+    int32_t band, bin, bins, place; /* place of its first share in a level's data */
 } Run;
 
-/* Successive blocks that two bands light. */
+/* Successive bins that the same bands light. */
 typedef struct {
-    int32_t pair, block, count, one, other; /* places of their shares */
-} Meeting;
+    int32_t bin, bins, bands, lit; /* first of its bands in a level's table */
+} Segment;
+
+/* A band that lights a segment. */
+typedef struct {
+    int32_t band, shares, slopes; /* places in a level's data */
+} Lit;
 
 typedef struct {
-    int bins, blocks, phases;
+    int bins, blocks, phases; /* blocks of LANES bins */
     float first_ns, phase_ns;
-    const float *widths;   /* blocks × lanes */
-    const int32_t *places; /* phases + 1: first run of each phase */
+    const float *widths;       /* share of the background in each bin */
+    const int32_t *run_places; /* phases + 1: first run of each phase */
     const Run *runs;
-    const float *data;     /* of each run all shares, then all slopes */
-    int pairs;
-    const uint8_t *pair_bands; /* two bands of each pair that share a block, the greater first */
-    const int32_t *meets;      /* phases + 1: first meeting of each phase */
-    const Meeting *meetings;
+    const float *data;         /* of each run all shares, then all slopes */
+    const int32_t *segment_places; /* phases + 1: first segment of each phase */
+    const Segment *segments;
+    const Lit *lit;
 } DelayTables;
+
+typedef struct {
+    int32_t band, first, last, place; /* bins up to `last`; place of its gains */
+} GainRun;
 
 typedef struct {
     int factor, bins, lags, separation;
     float first_ns, step_ns;
-    const int32_t *span_places; /* lag blocks × bands + 1: first span of each band */
-    const int32_t *spans;  /* spans × 3: first bin, one past the last, place in gains */
-    const float *gains;    /* ratio × lags of a vector, for each bin of a span */
-    const float *costs;    /* lag blocks × bands × ratios × lags of a vector */
-    const int32_t *places; /* lags + 1: first run of each lag */
+    const int32_t *gain_places; /* lags + 1: first run of each lag */
+    const GainRun *gain_runs;
+    const float *gains;    /* ratios for each bin of a run */
+    const float *costs;    /* lags × bands × shares of background × ratios */
+    const int32_t *places; /* lags + 1: first zone of each lag */
     const int32_t *runs;   /* band, first bin, one past the last */
     const float *widths, *shares; /* lags × bands */
 } SearchTables;
@@ -49,9 +54,37 @@ typedef struct {
     FitRules rules;
 } ModelTables;
 
-/* A delay that one pixel may have, with everything else that is fitted. */
-typedef struct {
-    int pixel, steps, live;
-    float delay, background, cubic, variance;
-    float amplitudes[MOST_BANDS], spread[MOST_BANDS], follow[MOST_BANDS + 1];
-} Candidate;
+/* The tabulated delay that is nearest. */
+INLINE int phase_of(const DelayTables *level, float delay)
+{
+    float place = (delay - level->first_ns) / level->phase_ns, last = (float)(level->phases - 1);
+    place = place > 0 ? place < last ? place : last : 0;
+    return (int)((place + 12582912.0f) - 12582912.0f); /* rounds numbers below 2²² */
+}
+
+INLINE float floor_of(const FitRules *rules, float total)
+{
+    return rules->floor_photons + rules->floor_share * total;
+}
+
+/* Expected counts of one pixel in all blocks, and with `slopes` their derivative by the delay. */
+INLINE void expect(const DelayTables *level, int phase, const float *amplitudes, float background,
+                   vec *means, vec *slopes)
+{
+    for (int v = 0; v < level->blocks; v++) {
+        means[v] = background * load(level->widths + v * LANES) + LEAST;
+        if (slopes)
+            slopes[v] = (vec){0};
+    }
+    for (int i = level->run_places[phase]; i < level->run_places[phase + 1]; i++) {
+        Run run = level->runs[i];
+        const float *shares = level->data + run.place, *steep = shares + run.bins;
+        float a = amplitudes[run.band];
+        vec *mean = means + run.bin / LANES, *slope = slopes + run.bin / LANES;
+        for (int v = 0; v * LANES < run.bins; v++) {
+            mean[v] += a * load(shares + v * LANES);
+            if (slopes)
+                slope[v] += a * load(steep + v * LANES);
+        }
+    }
+}

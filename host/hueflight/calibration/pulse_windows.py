@@ -18,6 +18,13 @@ WINDOW_FLOOR = 0.02  #: a window ends where the pulse has fallen to this share o
 SMOOTHING_BINS = 1.5  #: σ of the smoothing before peaks are looked for
 NOISE_MARGIN = 5.0  #: a pulse stands this many standard deviations above nothing
 FAR_M = 5.0  #: distance from which other units than meters are thought of
+REFLECTION_MARGIN = 8.0  #: standard deviations by which light of a weak reflection stands out,
+REFLECTION_PEAK = 3.0  #: times the light beside it,
+LEAST_REFLECTION = 0.01  #: and share of the pulse, below which it is harmless
+REMEDY = (
+    "Block it, or capture the same without a target and subtract those counts from reference and "
+    "scene"
+)
 LEAST_MODULATION = 0.2  #: share of the reference's light that must stand above its floor
 
 
@@ -121,7 +128,27 @@ def find_windows(
     _require_meters(smooth, instrument, bins, distance, shift)
     _require_no_reflection(visible, instrument, bins, distance, shift)
     peaks = _pulse_peaks(visible, instrument, bins, distance=distance, shift=shift)
-    return _separated([PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins)
+    windows = _separated(
+        [PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins
+    )
+    if distance > 0:
+        counts = np.asarray(pooled, np.float64)
+        _require_no_weak_reflection(counts, windows, instrument, bins, shift)
+    return windows
+
+
+def _due_bins(
+    instrument: Instrument, bins: TimeBins, distance: float
+) -> list[tuple[int, float, int]]:
+    """Band, time (ns) and bin of every pulse as the description has it, from a distance."""
+    places = []
+    for band in range(len(instrument.bands)):
+        for pulse in instrument.pulses(band):
+            time_ns = pulse.center_ns + pulse.tail_ns / 2 + 2 * distance / SPEED_OF_LIGHT_M_PER_NS
+            if bins.period_ns is not None:
+                time_ns %= bins.period_ns
+            places.append((band, time_ns, int(np.searchsorted(bins.edges_ns, time_ns) - 1)))
+    return places
 
 
 def _tolerance_bins(instrument: Instrument, bins: TimeBins) -> int:
@@ -161,29 +188,81 @@ def _require_no_reflection(
     near = _tolerance_bins(instrument, bins)
     if abs(shift) <= near:
         return
-    places = []
-    for band in range(len(instrument.bands)):
-        for pulse in instrument.pulses(band):
-            time_ns = pulse.center_ns + pulse.tail_ns / 2 + 2 * distance / SPEED_OF_LIGHT_M_PER_NS
-            if bins.period_ns is not None:
-                time_ns %= bins.period_ns
-            middle = int(np.searchsorted(bins.edges_ns, time_ns) - 1)
-            around = np.arange(middle - near - 1, middle + near + 2)
-            if bins.period_ns is None and not (around[0] >= 0 and around[-1] < bins.count):
-                return
-            seen = visible[around % bins.count]
-            if seen.max() <= 2 * max(seen[0], seen[-1]):
-                return  # no pulse there: the latency differs from the description
-            places.append(time_ns)
-    strongest = bins.centers_ns[
-        (np.searchsorted(bins.edges_ns, places[0]) - 1 + shift) % bins.count
-    ]
+    due = _due_bins(instrument, bins, distance)
+    found = np.array([middle + shift for _, _, middle in due])
+    alone = False
+    for _, _, middle in due:
+        around = np.arange(middle - near - 1, middle + near + 2)
+        if bins.period_ns is None and not (around[0] >= 0 and around[-1] < bins.count):
+            return
+        seen = visible[around % bins.count]
+        if seen.max() <= 2 * max(seen[0], seen[-1]):
+            return  # no pulse there: the latency differs from the description
+        off = found - middle
+        if bins.period_ns is not None:
+            off = (off + bins.count // 2) % bins.count - bins.count // 2
+        alone |= bool(np.abs(off).min() > near)
+    if not alone:
+        return  # equally spaced pulses: those of other bands stand there
+    strongest = bins.centers_ns[found[0] % bins.count]
     raise CalibrationError(
-        f"the reference shows pulses where they are due, the first at {places[0]:.1f} ns, and "
+        f"the reference shows pulses where they are due, the first at {due[0][1]:.1f} ns, and "
         f"stronger light at {strongest:.1f} ns: a fixed reflection, as of a cover glass. It would "
-        "be taken for the target. Block it, or capture the same without a target and subtract "
-        "those counts from reference and scene"
+        f"be taken for the target. {REMEDY}"
     )
+
+
+def _require_no_weak_reflection(
+    counts: NDArray[np.float64],
+    windows: tuple[PulseWindow, ...],
+    instrument: Instrument,
+    bins: TimeBins,
+    shift: int,
+) -> None:
+    """Refuse a reference with pulses from the camera itself that are weaker than the target's.
+
+    They stand where the light of a target at distance 0 would. Where the target's own pulses reach
+    that far, nothing is concluded.
+    """
+    near = _tolerance_bins(instrument, bins)
+    inside = np.zeros(bins.count, bool)
+    pulses = np.zeros(len(instrument.bands))
+    for window in windows:
+        here = np.arange(window.start, window.stop) % bins.count
+        inside[here] = True
+        pulses[window.band] += counts[here].sum()
+    if inside.all():
+        return
+    level = float(np.median((counts / bins.widths_ns)[~inside]))
+    shares = []
+    for band, _, middle in _due_bins(instrument, bins, 0.0):
+        around = np.arange(middle - 2 * near, middle + 2 * near + 1) + shift
+        is_core = np.abs(around - middle - shift) <= near
+        if bins.period_ns is None:
+            there = (around >= 0) & (around < bins.count)
+            if not there[is_core].all():
+                continue
+            around, is_core = around[there], is_core[there]
+        around %= bins.count
+        if inside[around].any():
+            continue
+        above = counts[around] - level * bins.widths_ns[around]
+        core, sides = above[is_core], above[~is_core]
+        excess = float(core.sum())
+        noise = np.sqrt(counts[around].sum())
+        if (
+            excess <= REFLECTION_MARGIN * noise
+            or core.mean() <= REFLECTION_PEAK * max(sides.mean(), 0.0)
+            or excess <= LEAST_REFLECTION * pulses[band]
+        ):
+            return
+        shares.append(excess / pulses[band])
+    if shares:
+        raise CalibrationError(
+            f"the reference shows light from the camera itself, {np.mean(shares):.1%} as strong as "
+            "the target's, where pulses from a distance of 0 are due: a fixed reflection, as of a "
+            f"cover glass. It stays in place while the target moves. {REMEDY}"
+        )
 
 
 def _train_shift(
@@ -216,24 +295,20 @@ def _pulse_peaks(
     bin_width_ns = bins.span_ns / bins.count
     reach = int(min(instrument.half_spacing_ns(), bins.span_ns / 4) / bin_width_ns)
     peaks = []
-    for band in range(len(instrument.bands)):
-        for pulse in instrument.pulses(band):
-            time_ns = pulse.center_ns + pulse.tail_ns / 2 + 2 * distance / SPEED_OF_LIGHT_M_PER_NS
-            if bins.period_ns is not None:
-                time_ns %= bins.period_ns
-            middle = int(np.searchsorted(bins.edges_ns, time_ns) - 1) + shift
-            near = np.arange(middle - reach, middle + reach + 1)
-            if bins.period_ns is None:
-                near = near[(near >= 0) & (near < bins.count)]
-            found = near[np.argmax(light[near % bins.count])] if near.size else middle
-            # highest where the search ends, it is only a neighbour's tail
-            is_tail = reach > 0 and near.size > 2 and found in (near[0], near[-1])
-            if not near.size or light[found % bins.count] <= 0 or is_tail:
-                raise CalibrationError(
-                    f"the reference shows no light of band {instrument.bands[band].name!r} near "
-                    f"{time_ns:.0f} ns: check that LED and its delay in the instrument"
-                )
-            peaks.append((band, int(found)))
+    for band, time_ns, due in _due_bins(instrument, bins, distance):
+        middle = due + shift
+        near = np.arange(middle - reach, middle + reach + 1)
+        if bins.period_ns is None:
+            near = near[(near >= 0) & (near < bins.count)]
+        found = near[np.argmax(light[near % bins.count])] if near.size else middle
+        # highest where the search ends, it is only a neighbour's tail
+        is_tail = reach > 0 and near.size > 2 and found in (near[0], near[-1])
+        if not near.size or light[found % bins.count] <= 0 or is_tail:
+            raise CalibrationError(
+                f"the reference shows no light of band {instrument.bands[band].name!r} near "
+                f"{time_ns:.0f} ns: check that LED and its delay in the instrument"
+            )
+        peaks.append((band, int(found)))
     return peaks
 
 

@@ -7,6 +7,7 @@ import pytest
 
 import hueflight as hf
 from hueflight.calibration import PulseWindow, window_sums
+from hueflight.calibration.pulse_windows import expected_train, find_windows
 from hueflight.errors import CalibrationError
 from hueflight.model.pulses import Pulse
 
@@ -115,4 +116,33 @@ def test_fixed_reflection_stronger_than_the_target(small):
 
     with pytest.raises(CalibrationError, match=r"due, the first at 8\.7 ns.*a fixed reflection"):
         hf.calibrate(counts(3000), instrument, distance=1.0)
+    for weak, share in ((1000, r"4\d\.\d%"), (400, r"1\d\.\d%"), (60, r"[23]\.\d%")):
+        with pytest.raises(CalibrationError, match=f"camera itself, (?:{share}) as strong"):
+            hf.calibrate(counts(weak), instrument, distance=1.0)
     hf.calibrate(counts(0), instrument, distance=1.0)
+
+
+def test_background_is_no_fixed_reflection(small):
+    """Of 400 references with background as bright as the target none is refused."""
+    instrument = small()
+    bins = instrument.time_bins()
+    flat = bins.widths_ns / bins.span_ns
+    for depth in (1.0, 3.0):
+        light = instrument.band_brightness() @ expected_train(instrument, bins, distance=depth)
+        for photons in (3e4, 3e6):
+            mean = photons * (light / light.sum() + flat)
+            for seed in range(100):
+                pooled = np.random.default_rng(seed).poisson(mean).astype(float)
+                assert len(find_windows(pooled, instrument, bins, distance=depth)) == 9
+
+
+def test_equally_spaced_pulses_with_another_latency(small, draw):
+    """Pulses of other bands stand where those of a band are due."""
+    instrument = with_bands(
+        small(), tuple(np.arange(10) * 32.0), pulse_fwhm_ns=8.0, pulse_tail_ns=0.0
+    )
+    brightness = np.linspace(1, 2, 10)
+    late = instrument.replace(timing=msgspec.structs.replace(instrument.timing, latency_ns=57.0))
+    reference = draw(late, photons=20_000, reflectance=brightness)
+    calibration = hf.calibrate(reference, instrument, distance=0.5)
+    assert len(calibration.windows) == 10

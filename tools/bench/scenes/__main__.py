@@ -21,6 +21,7 @@ import clean
 import departures
 import deviations
 import edges
+import one_pixel
 import pileup
 import pooled_checks
 import returns
@@ -38,7 +39,8 @@ GROUPS: dict[str, Group] = {
     "pooled": pooled_checks.rows,
     "pileup": pileup.rows,
     "as-they-were": as_they_were.rows,
-    "second_returns": second_returns.rows,
+    "second-returns": second_returns.rows,
+    "one-pixel": one_pixel.rows,
 }
 PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
 

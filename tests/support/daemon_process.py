@@ -17,7 +17,7 @@ from typing import Any
 
 from support.lines import Lines
 
-PATIENCE_S = 90.0
+PATIENCE_S = 240.0
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

@@ -27,6 +27,7 @@ from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_pri
 from hueflight.devices.camera_controls import CameraControls
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.rig import Connect
+from hueflight.devices.simulation import Simulation
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 
@@ -95,6 +96,11 @@ class Acquisition:
     def snapshot(self) -> Snapshot:
         """Present status; a new object whenever it changes."""
         return self._session.snapshot
+
+    @property
+    def simulation(self) -> Simulation | None:
+        """Other side of the simulated camera that is or was connected; None for a real one."""
+        return self._session.simulation
 
     @property
     def write_delays(self) -> DelayHistogram:

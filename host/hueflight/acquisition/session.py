@@ -22,6 +22,7 @@ from hueflight.acquisition.snapshot import LiveBlock, Snapshot
 from hueflight.acquisition.states import State
 from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.rig import Connect, Rig
+from hueflight.devices.simulation import Simulation
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.stream import Block
 from hueflight.model.instrument import Instrument
@@ -103,6 +104,7 @@ class Session:
         self.connections = 0
         self.rate_hz: float | None = None
         self.timing: CameraTiming | None = None
+        self.simulation: Simulation | None = None
         self.failed = False
         self.label = int(time.time()) & Capture.VALUE_MAX
         self.snapshot = Snapshot(problem="looking for the camera")
@@ -200,7 +202,7 @@ class Session:
             If the camera can't do it, or is gone.
         """
         controls, settings = self.controls, self.settings_wanted
-        self.timing = rig.camera.timing
+        self.timing, self.simulation = rig.camera.timing, rig.camera.simulation
         self.rate_hz = rig.camera.configure(self.instrument, controls).rate_hz
         self.applied, self.settings = controls, settings
 

@@ -145,6 +145,20 @@ class CalibrationJob:
             )
             return
 
+    def use_simulated(self, calibration: Calibration, /) -> None:
+        """Use the calibration that comes along with a simulated camera; it is not kept.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            The calibration.
+        """
+        if self._busy.locked() or self.state.path:
+            return
+        self._use(calibration)
+        message = f"calibrated by simulation at {calibration.distance} m"
+        self.state = CalibrationState("done", message, "")
+
     def begin(self, *, distance: float, frames: int, bands: bool, dark: bool) -> None:
         """Begin a calibration; it goes on in a thread of its own.
 

@@ -111,6 +111,7 @@ class Pictures:
         self.latest: Picture | None = None
         self.made = self.skipped = 0
         self._making = False
+        self._distinct_frames: int | None = None
         self.problem = ""
         self._on_picture = on_picture
         self._is_watched = is_watched
@@ -177,6 +178,18 @@ class Pictures:
         self._block_frames = run.block_frames
         self.change(self.settings)
 
+    def limit_frames(self, distinct_frames: int | None, /) -> None:
+        """Let no photons add up that a simulated camera only repeats.
+
+        Parameters
+        ----------
+        distinct_frames : int or None
+            Number of frames after which they are repeated; None if they never are.
+        """
+        if distinct_frames != self._distinct_frames:
+            self._distinct_frames = distinct_frames
+            self.change(self.settings)
+
     def begin_anew(self, window: BlockWindow | GatheredWindow, /) -> int:
         """Sum only blocks that begin from now on.
 
@@ -234,7 +247,10 @@ class Pictures:
             if frames:
                 return BlockWindow.holding(-(-frames // self._block_frames))
             return BlockWindow(self._window_blocks)
-        return GatheredWindow(self.instrument, settings.integration_s, self._rate_hz)
+        seconds = settings.integration_s
+        if self._distinct_frames is not None:  # photons that are repeated would add nothing
+            seconds = min(seconds, self._distinct_frames / self._rate_hz)
+        return GatheredWindow(self.instrument, seconds, self._rate_hz)
 
     def _begin_anew(self, reason: str, trace: str) -> None:
         """After a fault of the program: forget what may have caused it."""

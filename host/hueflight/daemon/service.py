@@ -13,7 +13,6 @@ from typing import Any
 import structlog
 
 from hueflight.acquisition.plan import RunPlan
-from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.supervised_thread import SupervisedThread
@@ -29,6 +28,7 @@ from hueflight.daemon.pictures import Pictures
 from hueflight.daemon.rate_meter import RateMeter
 from hueflight.daemon.recording_job import RecordingJob
 from hueflight.daemon.recordings_folder import RecordingsFolder
+from hueflight.daemon.simulated_part import SimulatedPart
 from hueflight.daemon.status import (
     calibration_status,
     describe_controls,
@@ -38,6 +38,7 @@ from hueflight.daemon.status import (
     recording_status,
     run_status,
 )
+from hueflight.daemon.stream_settings import run_settings
 from hueflight.devices.rig import Connect
 from hueflight.live.protocol import PROTOCOL
 from hueflight.model.instrument import Instrument
@@ -77,6 +78,8 @@ class Service:
         Knows whether that folder is there and has room.
     finisher : Finisher
         Finishes recordings that were cut off.
+    simulated_part : SimulatedPart
+        Calibrates a simulated camera, and unplugs it.
     live_color : LiveColor
         Colours of live pictures.
     latencies : LatencyMeter
@@ -142,6 +145,9 @@ class Service:
             check_free=self.recording_job.check_idle,
         )
         self.calibration_job.load_latest(instrument)
+        self.simulated_part = SimulatedPart(
+            self.acquisition, self.pictures, use=self.calibration_job.use_simulated
+        )
 
     def _note(self, name: str, details: dict[str, Any]) -> None:
         """Called with each event of acquisition and recording, in their threads."""
@@ -305,6 +311,7 @@ class Service:
             "problem": "; ".join(dict.fromkeys(self._words_about_problems(snapshot))),
             "parts": self.parts(),
             **run_status(snapshot),
+            "simulation": self.simulated_part.status(),
             "rates": self.rates.per_second(),
             "picture": picture_status(self.pictures, now_s=now, stale_after_s=self.stale_after_s),
             "calibration": calibration_status(
@@ -373,39 +380,12 @@ class Service:
 
     def close(self) -> None:
         """End everything in order, so that recordings are finished."""
+        self.simulated_part.close()
         self.calibration_job.close()
         self.acquisition.close()
         self.pictures.close()
         self.finisher.close()
         self.disk.close()
-
-
-def run_settings(config: DaemonConfig, instrument: Instrument, /) -> RunSettings:
-    """Return how streams are cut into pictures, at an instrument's frame rate.
-
-    Parameters
-    ----------
-    config : DaemonConfig
-        Pictures per second, frames behind each, and limits of queues.
-    instrument : Instrument
-        States the frame rate.
-
-    Returns
-    -------
-    RunSettings
-        The settings.
-    """
-    found = RunSettings.of(
-        instrument,
-        pictures_hz=config.pictures_hz or None,
-        picture_frames=config.picture_frames or None,
-    )
-    return replace(
-        found,
-        threads=config.threads,
-        recorder_queue_bytes=config.recording.queue_mb << 20,
-        min_free_bytes=config.recording.min_free_mb << 20,
-    )
 
 
 def _part(thread: SupervisedThread, /, *, problem: str = "") -> dict[str, Any]:

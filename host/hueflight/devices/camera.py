@@ -13,6 +13,7 @@ from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import DeviceError, WrongDeviceError
+from hueflight.devices.simulation import Simulation
 from hueflight.devices.transports.interface import Transport
 from hueflight.devices.transports.stream import Stream, StreamStatistics
 from hueflight.model.instrument import Instrument
@@ -72,6 +73,8 @@ class Camera:
         Opens the packet stream, given the bytes of a transfer.
     simulated : bool
         True if the photons are simulated.
+    simulation : Simulation, optional
+        Other side of a simulated camera.
 
     Attributes
     ----------
@@ -89,9 +92,16 @@ class Camera:
     """
 
     def __init__(
-        self, transport: Transport, open_stream: OpenStream, /, *, simulated: bool = False
+        self,
+        transport: Transport,
+        open_stream: OpenStream,
+        /,
+        *,
+        simulated: bool = False,
+        simulation: Simulation | None = None,
     ) -> None:
         self.simulated = simulated
+        self.simulation = simulation
         self._open_stream = open_stream
         self._stream: Stream | None = None
         self._closed_statistics = StreamStatistics()

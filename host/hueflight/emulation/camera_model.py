@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from hueflight.emulation.frame_bank import FrameBank
+from hueflight.emulation.frame_bank import FrameSource
 from hueflight.emulation.frame_filter import FrameFilter
 from hueflight.model.instrument import Sensor
 from hueflight_protocol import (
@@ -63,7 +63,7 @@ class CameraModel:
     ----------
     sensor : Sensor
         Geometry and code width.
-    bank : FrameBank
+    bank : FrameSource
         What the sensor sees.
     serial : int
         Serial number of the board.
@@ -83,7 +83,7 @@ class CameraModel:
     def __init__(
         self,
         sensor: Sensor,
-        bank: FrameBank,
+        bank: FrameSource,
         /,
         *,
         serial: int = 1,
@@ -113,6 +113,7 @@ class CameraModel:
         self._frame = self._dropped = self._sent_whole = self._peak = self._sequence = 0
         self._running = False
         self._filter: FrameFilter | None = None
+        self._last_size = 0
         self.sent = Sent()
 
     # -- control ------------------------------------------------------------------------------
@@ -219,10 +220,14 @@ class CameraModel:
                 self._stop()
 
     def _expose(self, frame_s: float) -> None:
-        template = self.bank.template(self._frame)
-        if self._filter is not None:
-            template = self._filter.apply(template)
-        if self._waiting_bytes + len(template) > self._buffer_bytes:
+        template = None
+        if self._waiting_bytes + self._last_size <= self._buffer_bytes:
+            template = self.bank.template(self._frame)
+            if self._filter is not None:
+                template = self._filter.apply(template)
+            self._last_size = len(template)
+        # what does not fit need not be drawn, which a camera that was away for long would have to
+        if template is None or self._waiting_bytes + len(template) > self._buffer_bytes:
             self._dropped += 1
             self.sent = Sent(self.sent.frames + 1, self.sent.dropped + 1, self.sent.packets)
         else:

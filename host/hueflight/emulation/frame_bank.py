@@ -8,7 +8,8 @@ that changes from pass to pass, so that the noise of its pictures differs for mi
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Protocol
 
 import google_crc32c
 import numpy as np
@@ -175,9 +176,28 @@ class FrameBank:
         return cls(packets(), seed=seed)
 
 
-def simulated_packets(
+class FrameSource(Protocol):
+    """What the sensor of an emulated camera sees."""
+
+    def template(self, frame: int, /) -> Template:
+        """Return what it sees in a frame of the run.
+
+        Parameters
+        ----------
+        frame : int
+            Number of the frame in the run.
+
+        Returns
+        -------
+        Template
+            The frame.
+        """
+        ...
+
+
+def draw_packets(
     kind: str, instrument_json: str, scene: str, distance: float, frames: int, seed: int
-) -> list[bytes]:
+) -> Iterator[bytes]:
     """Draw the packets of a simulated capture, in a process of its own.
 
     Parameters
@@ -197,20 +217,40 @@ def simulated_packets(
 
     Returns
     -------
-    list of bytes
+    iterator of bytes
         The packets.
     """
     from hueflight import simulator
 
     instrument = Instrument.from_json(instrument_json)
     looked_at = simulator.scene(scene, instrument) if kind == "scene" else None
-    return list(
-        simulator.simulate_packets(
-            kind,  # pyright: ignore[reportArgumentType]
-            instrument,
-            frames=frames,
-            scene=looked_at,
-            distance=distance,
-            seed=seed,
-        )
+    return simulator.simulate_packets(
+        kind,  # pyright: ignore[reportArgumentType]
+        instrument,
+        frames=frames,
+        scene=looked_at,
+        distance=distance,
+        seed=seed,
     )
+
+
+def simulated_packets(
+    kind: str, instrument_json: str, scene: str, distance: float, frames: int, seed: int
+) -> list[bytes]:
+    """Return all packets that `draw_packets` draws.
+
+    Parameters
+    ----------
+    kind, instrument_json, scene : str
+        Kind of the capture, the instrument as JSON, and name of the scene.
+    distance : float
+        Distance of the white target, in metres.
+    frames, seed : int
+        Number of frames, and seed of the photons.
+
+    Returns
+    -------
+    list of bytes
+        The packets.
+    """
+    return list(draw_packets(kind, instrument_json, scene, distance, frames, seed))

@@ -5,20 +5,35 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import tempfile
 import threading
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
 
+from hueflight.calibration import Calibration
 from hueflight.devices.camera import Camera
-from hueflight.devices.errors import DeviceError
+from hueflight.devices.errors import DeviceError, DeviceNotFoundError
 from hueflight.devices.illumination import CaptureKind
 from hueflight.devices.rig import RigAddress, RigPart
+from hueflight.devices.simulation import Repetition
 from hueflight.emulation.camera_model import CameraModel
 from hueflight.emulation.frame_bank import FrameBank, simulated_packets
-from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
+from hueflight.emulation.fresh_frames import MOST_PIXELS_PER_S, FreshFrames
+from hueflight.emulation.simulated_transport import (
+    UNPLUGGED,
+    SimulatedStream,
+    SimulatedTransport,
+)
 from hueflight.model.instrument import Instrument
 
 SERIAL = 0x51D0
 DEFAULT_SCENE = "fig1"
+BANK_FRAMES = 960  #: that are repeated if not every frame can have photons of its own
+CALIBRATION_FRAMES = 20_000
+CALIBRATION_SEED = 1 << 20  #: none of the photons that the camera sees
+T = TypeVar("T")
 _DRAW_TIMEOUT_S = 300
 
 
@@ -60,9 +75,10 @@ class SimulatedInstrument:
         What a capture of kind ``"scene"`` sees, one of `hueflight.simulator.scenes`.
     distance : float
         Distance of the white target of the other captures, in metres.
-    frames : int
+    frames : int or None
         Number of frames of each exposure for which photons are drawn; they are then repeated in
-        changing order.
+        changing order. None draws new photons for every frame, up to the rate at which one core
+        can (`fresh_frames.MOST_PIXELS_PER_S`), and beyond repeats `BANK_FRAMES` frames.
     seed : int
         Seed of the photons.
 
@@ -72,6 +88,8 @@ class SimulatedInstrument:
         Name of the illumination.
     model : CameraModel
         The camera.
+    plugged : bool
+        False to have the camera disappear as if its cable were pulled.
 
     Raises
     ------
@@ -88,7 +106,7 @@ class SimulatedInstrument:
         *,
         scene: str = DEFAULT_SCENE,
         distance: float = 0.40,
-        frames: int = 960,
+        frames: int | None = None,
         seed: int = 1,
     ) -> None:
         if instrument.sensor.scan_steps > 1:
@@ -96,13 +114,20 @@ class SimulatedInstrument:
                 f"instrument {instrument.name!r} scans in {instrument.sensor.scan_steps} steps: "
                 "the live camera has no stage; use `hueflight simulate` for recordings of it"
             )
-        if frames < 1 or seed < 0:
+        if (frames is not None and frames < 1) or seed < 0:
             raise DeviceError(
                 f"simulated instrument: frames = {frames} must be 1 or more, seed = {seed} 0 or "
                 "more"
             )
         self.instrument = instrument
-        self.scene, self.distance, self.frames, self.seed = scene, distance, frames, seed
+        self.scene, self.distance, self.seed = scene, distance, seed
+        sensor = instrument.sensor
+        pixels_per_s = sensor.rows * sensor.cols * (sensor.frame_rate_hz or 1e3)
+        self._draws_each = frames is None and pixels_per_s <= MOST_PIXELS_PER_S
+        self.frames = frames or BANK_FRAMES
+        self.plugged = True
+        self._fresh: FreshFrames | None = None
+        self._streams = self._repeated = 0
         self._packets: dict[CaptureKind, list[bytes]] = {}
         self._lock = threading.Lock()
         # all dark until the first capture is prepared
@@ -120,11 +145,51 @@ class SimulatedInstrument:
         Camera
             The camera, whose photons are simulated.
         """
+        if not self.plugged:
+            raise DeviceNotFoundError(f"simulated: {UNPLUGGED}")
+
+        def is_plugged() -> bool:
+            return self.plugged
+
         return Camera(
-            SimulatedTransport(self.model.handle),
-            lambda size: SimulatedStream(self.model, size),
+            SimulatedTransport(self.model.handle, is_plugged=is_plugged),
+            lambda size: SimulatedStream(self.model, size, is_plugged=is_plugged),
             simulated=True,
+            simulation=self,
         )
+
+    def repetition(self) -> Repetition:
+        """Return how far frames are photons of their own.
+
+        Returns
+        -------
+        Repetition
+            Number of distinct frames, and of frames that were repeated for want of time.
+        """
+        if not self._draws_each:
+            return Repetition(self.frames, 0)
+        fresh = self._fresh
+        return Repetition(None, self._repeated + (fresh.repeated if fresh is not None else 0))
+
+    def calibrate(self) -> Calibration:
+        """Return a calibration of the instrument, from many simulated photons.
+
+        Returns
+        -------
+        Calibration
+            The calibration.
+
+        Raises
+        ------
+        HueflightError
+            If it can't be made.
+        """
+        with tempfile.TemporaryDirectory(prefix="hueflight-") as folder:
+            path = Path(folder) / "calibration.zarr"
+            _in_a_process(
+                simulated_calibration, self.instrument.to_json(), self.distance, str(path)
+            )
+            return Calibration.load(path)
 
     def prepare(self, kind: CaptureKind, frames: int, /) -> None:
         """Put the scene or target of a capture in front of the camera.
@@ -137,6 +202,9 @@ class SimulatedInstrument:
             Number of frames for each LED of a capture of kind ``"bands"``.
         """
         with self._lock:
+            if self._draws_each:
+                self.model.bank = self._fresh_frames(kind, frames)
+                return
             if kind not in self._packets:
                 self._packets[kind] = self._draw(kind)
             per_step = frames if kind == "bands" else 0
@@ -148,7 +216,23 @@ class SimulatedInstrument:
         """Do nothing: a simulated illumination has no watchdog."""
 
     def close(self) -> None:
-        """Do nothing: there is no port to release."""
+        """Do nothing: there is no port to release, and photons go on when the camera is back."""
+
+    def _fresh_frames(self, kind: CaptureKind, frames: int) -> FreshFrames:
+        """Frames of a capture: those of the run before go on, unless LEDs or target change."""
+        before = self._fresh
+        if before is not None:
+            if before.kind == kind and kind != "bands":
+                return before
+            self._repeated += before.repeated
+            before.close()
+            self._fresh = None
+        self._streams += 1
+        self._fresh = FreshFrames(
+            kind, self.instrument, scene=self.scene, distance=self.distance,
+            seed=self.seed + self._streams - 1, frames=frames,
+        )  # fmt: skip
+        return self._fresh
 
     def _draw(self, kind: CaptureKind) -> list[bytes]:
         """Draw photons in a process of its own: here it would delay every thread."""
@@ -156,10 +240,36 @@ class SimulatedInstrument:
         arguments = (
             kind, self.instrument.to_json(), self.scene, self.distance, frames, self.seed
         )  # fmt: skip
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
-            drawn: Future[list[bytes]] = pool.submit(simulated_packets, *arguments)
-            return drawn.result(_DRAW_TIMEOUT_S)
+        return _in_a_process(simulated_packets, *arguments)
+
+
+def simulated_calibration(instrument_json: str, distance: float, path: str) -> None:
+    """Calibrate with simulated captures, and save the result; in a process of its own.
+
+    Parameters
+    ----------
+    instrument_json : str
+        The instrument as JSON.
+    distance : float
+        Distance of the white target, in metres.
+    path : str
+        Where to save the calibration.
+    """
+    from hueflight import simulator
+    from hueflight.calibration import calibrate
+
+    instrument = Instrument.from_json(instrument_json)
+    # captures of one LED at a time would take several times as long, and nobody wants to wait
+    reference = simulator.simulate_capture(
+        "reference", instrument, frames=CALIBRATION_FRAMES, distance=distance, seed=CALIBRATION_SEED
+    )
+    calibrate(reference, instrument, distance=distance).save(path)
+
+
+def _in_a_process(work: Callable[..., T], *arguments: Any) -> T:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
+        return pool.submit(work, *arguments).result(_DRAW_TIMEOUT_S)
 
 
 def _end_with_parent() -> None:

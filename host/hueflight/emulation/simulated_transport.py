@@ -11,6 +11,7 @@ from hueflight.devices.errors import DeviceGoneError
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.emulation.camera_model import CameraModel
 
+UNPLUGGED = "the simulated camera is unplugged, as it was asked for"
 _POLL_S = 0.002  #: how often a stream looks for frames that have become due
 
 
@@ -23,10 +24,19 @@ class SimulatedTransport:
         Returns the answer to a message, or None; see `RegisterFile.handle`.
     name : str
         Place of the board for people.
+    is_plugged : callable, optional
+        Returns False while the cable is pulled.
     """
 
-    def __init__(self, handle: Callable[[bytes], bytes | None], name: str = "simulated") -> None:
+    def __init__(
+        self,
+        handle: Callable[[bytes], bytes | None],
+        name: str = "simulated",
+        *,
+        is_plugged: Callable[[], bool] = lambda: True,
+    ) -> None:
         self.name = name
+        self._is_plugged = is_plugged
         self._handle: Callable[[bytes], bytes | None] | None = handle
         self._answers: deque[bytes] = deque()
 
@@ -40,6 +50,8 @@ class SimulatedTransport:
         """
         if self._handle is None:
             raise DeviceGoneError(f"{self.name}: the simulated board is closed")
+        if not self._is_plugged():
+            raise DeviceGoneError(f"{self.name}: {UNPLUGGED}")
         answer = self._handle(message)
         if answer is not None:
             self._answers.append(answer)
@@ -73,9 +85,19 @@ class SimulatedStream:
         The camera.
     transfer_bytes : int
         Most bytes that are read at once.
+    is_plugged : callable, optional
+        Returns False while the cable is pulled.
     """
 
-    def __init__(self, model: CameraModel, transfer_bytes: int, /) -> None:
+    def __init__(
+        self,
+        model: CameraModel,
+        transfer_bytes: int,
+        /,
+        *,
+        is_plugged: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._is_plugged = is_plugged
         self._model = model
         self._transfer_bytes = transfer_bytes
         self._received = 0
@@ -93,6 +115,8 @@ class SimulatedStream:
         bytes
             Part of the stream, empty if no frame came in time.
         """
+        if not self._is_plugged():
+            raise DeviceGoneError(f"simulated: {UNPLUGGED}")
         deadline = time.monotonic() + timeout_s
         while not (data := self._model.pull(self._transfer_bytes)):
             if time.monotonic() >= deadline:

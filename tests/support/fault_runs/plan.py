@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 Disk = Literal["folder", "small", "image"]
+RESERVE_MB = 8  #: of disk space that recordings leave free
 
 #: faults by what they concern; each run has one kind of disk, which decides about the last ones
 CAMERA = ("unplug", "power", "stall", "overflow", "zero_length", "short", "damage", "deaf")
@@ -85,7 +86,7 @@ def make_plan(seed: int) -> FaultPlan:
         disk=disk,
         options=_options(rng),
         server=f"max_connections = {rng.choice([4, 16, 64])}",
-        recording=f"min_free_mb = 4\nqueue_mb = {rng.choice([1, 8, 128])}",
+        recording=f"min_free_mb = {RESERVE_MB}\nqueue_mb = {rng.choice([1, 8, 128])}",
         steps=tuple(_step(rng, disk) for _ in range(rng.integers(1, 5))),
     )
 

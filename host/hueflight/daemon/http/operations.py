@@ -178,6 +178,14 @@ class ControlsBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     masked: Pixels | _Unset | None = msgspec.UNSET
 
 
+class SimulationBody(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is done to a simulated camera."""
+
+    plugged: Annotated[
+        bool, msgspec.Meta(description="False to pull its cable, true to plug it in again.")
+    ]
+
+
 class PixelQuery(Body, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Coordinates of a pixel."""
 
@@ -339,6 +347,11 @@ def _set_controls(service: Service, body: ControlsBody) -> dict[str, Any]:
     return service.controls()
 
 
+def _simulate(service: Service, body: SimulationBody) -> dict[str, Any]:
+    service.simulated_part.plug(body.plugged)
+    return service.simulated_part.status() or {}
+
+
 def _calibrate(service: Service, body: CalibrateBody) -> dict[str, Any]:
     job = service.calibration_job
     job.begin(distance=body.distance, frames=body.frames, bands=body.bands, dark=body.dark)
@@ -467,6 +480,16 @@ OPERATIONS: tuple[Operation, ...] = (
         "Controls as they are now.",
         _set_controls,
         body=ControlsBody,
+        conflicts=True,
+    ),
+    Operation(
+        "POST",
+        "/api/simulation",
+        "simulate",
+        "Unplug a simulated camera, or plug it in again",
+        "Whether it is plugged in, its distinct frames, and those repeated for want of time.",
+        _simulate,
+        body=SimulationBody,
         conflicts=True,
     ),
     Operation(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from amaranth.build import Platform
 from amaranth.hdl import ClockDomain, ClockSignal, Elaboratable, Instance, Module, Signal
@@ -16,7 +17,8 @@ from ..common.version import source_hash
 from .ecp5_clocks import AIM
 from .ecp5_pll import PllOutput, ecp5_pll
 from .pins import drive_pin, read_pin
-from .target import Target
+from .settings import camera_settings, set_camera
+from .target import Options, Target, TargetError
 
 SYNC_HZ = 100e6
 _VCO_HZ = 600e6
@@ -31,10 +33,23 @@ FAST_ROUTES = {
 }
 
 
-def camera_config(lanes: int | None = None) -> CameraConfig:
-    """Return the configuration for a board without a sensor: the paper's geometry and a scene."""
-    form = FrameFormat(lanes=LANES if lanes is None else lanes, clock_hz=round(SYNC_HZ))
-    return CameraConfig(form=form, scene=default_scene(form), source=source_hash())
+def camera_config(options: Options | None = None) -> CameraConfig:
+    """Return the configuration for a board without a sensor: the paper's geometry and a scene.
+
+    Raises
+    ------
+    TargetError
+        If `options` has the number of lanes twice.
+    """
+    options = options or Options()
+    settings = dict(options.settings)
+    if options.lanes is not None:
+        if settings.get("lanes", options.lanes) != options.lanes:
+            raise TargetError(f"--lanes {options.lanes}: the settings say {settings['lanes']}")
+        settings["lanes"] = options.lanes
+    form = FrameFormat(lanes=LANES, clock_hz=round(SYNC_HZ))
+    config = set_camera(CameraConfig(form=form, source=source_hash()), settings)
+    return replace(config, scene=default_scene(config.form))
 
 
 class CameraClocks(Elaboratable):
@@ -93,10 +108,10 @@ def add_camera(m: Module, config: CameraConfig, platform: Platform) -> Camera:
 def camera_target(
     board: str,
     platform: Callable[[], Platform],
-    top: Callable[[int | None], Elaboratable],
+    top: Callable[[CameraConfig], Elaboratable],
+    options: Options,
     /,
     *,
-    lanes: int | None,
     link_mhz: dict[str, float],
 ) -> Target:
     """Return the camera on an ECP5 board.
@@ -106,18 +121,21 @@ def camera_target(
     board : str
     platform : callable
     top : callable
-        From the lanes that are asked for, or None.
-    lanes : int, optional
+        From the configuration.
+    options : Options
+        Choices of the user.
     link_mhz : dict of str to float
         The clocks of its link, and what they run at.
     """
+    config = camera_config(options)
     return Target(
         design="camera",
         board=board,
         platform=platform,
-        top=lambda: top(lanes),
+        top=lambda: top(config),
         clocks_mhz={"sync": SYNC_HZ / 1e6, **link_mhz},
-        lanes=camera_config(lanes).form.lanes,
+        lanes=config.form.lanes,
+        settings=camera_settings(config),
         family="ecp5",
         options=FAST_ROUTES,
     )

@@ -21,17 +21,42 @@ from amaranth.hdl import (
 from amaranth.lib.cdc import AsyncFFSynchronizer
 
 from .ecp5_pll import PllOutput, ecp5_pll
+from .target import TargetError
 
-EDGE_HZ = 400e6
-PULSE_HZ = EDGE_HZ / 2
-SYNC_HZ = 50e6
+PULSE_HZ = 200e6
+CLOCK_RATIO = 4
+"""Clocks of `pulse` in one of `sync`."""
 AIM = 1.15
 """Place and route aims so much higher than needed; it stops trying where it is content."""
-_VCO_HZ = 800e6
+MIN_PULSE_HZ, MAX_PULSE_HZ = 100e6, 200e6
+"""The PLL's oscillator runs at four times `pulse`, and may from 400 to 800 MHz."""
 RECOVERY_CLOCKS = 16
 """Clocks of `sync` after a failure: more than disarming takes to reach the pins."""
 _START_CLOCKS = 8
 """Clocks of the oscillator between the steps of the start."""
+
+
+def check_clocks(clock_hz: float, pulse_hz: float, /) -> None:
+    """Check that the PLL can make the clocks of the illuminator.
+
+    Raises
+    ------
+    TargetError
+        If it cannot; the message says which frequencies there are.
+    """
+    if not MIN_PULSE_HZ <= pulse_hz <= MAX_PULSE_HZ:
+        raise TargetError(
+            f"pulse_hz = {pulse_hz:g}: must be from {MIN_PULSE_HZ:g} to {MAX_PULSE_HZ:g}"
+        )
+    multiple = 2 * pulse_hz / clock_hz
+    if abs(multiple - round(multiple)) > 1e-9 or round(multiple) < 1:
+        steps = range(int(2 * MIN_PULSE_HZ / clock_hz), int(2 * MAX_PULSE_HZ / clock_hz) + 1)
+        choices = [step * clock_hz / 2e6 for step in steps]
+        shown = ", ".join(f"{mhz:g}" for mhz in choices if mhz >= MIN_PULSE_HZ / 1e6)
+        raise TargetError(
+            f"pulse_hz = {pulse_hz:g}: half a multiple of the clock of {clock_hz:g} Hz is needed: "
+            f"{shown} MHz"
+        )
 
 
 class IoStart(Elaboratable):
@@ -79,7 +104,7 @@ class IoStart(Elaboratable):
 
 
 class Ecp5Clocks(Elaboratable):
-    """Domains `edge` (400 MHz), `pulse` (200 MHz) and `sync` (50 MHz).
+    """Domains `edge` (twice `pulse`), `pulse` (200 MHz) and `sync` (a quarter of `pulse`).
 
     No domain has a reset. All clocks are stopped until the PLL has locked and the I/O registers
     have been reset, so that every register leaves its configured value on the same clean edge.
@@ -89,7 +114,9 @@ class Ecp5Clocks(Elaboratable):
     clock : Signal
         From the oscillator.
     clock_hz : float
-        25 or 100 MHz.
+        Frequency of the oscillator; twice `pulse_hz` must be a multiple of it.
+    pulse_hz : float
+        Frequency of the domain `pulse`.
 
     Attributes
     ----------
@@ -100,15 +127,20 @@ class Ecp5Clocks(Elaboratable):
         Resets the I/O registers; it is released while the edge clock is stopped.
     """
 
-    def __init__(self, clock: Value, clock_hz: float) -> None:
+    def __init__(self, clock: Value, clock_hz: float, *, pulse_hz: float = PULSE_HZ) -> None:
         self.clock = clock
         self.clock_hz = clock_hz
+        self.pulse_hz = pulse_hz
         self.failed = Signal(init=1)
         self.io_reset = Signal(init=1)
 
     def add_to(self, m: Module, platform: Platform) -> None:
         """Add the clock domains to a module, and the logic that generates them."""
-        for name, frequency in (("edge", EDGE_HZ), ("pulse", PULSE_HZ), ("sync", SYNC_HZ)):
+        for name, frequency in (
+            ("edge", 2 * self.pulse_hz),
+            ("pulse", self.pulse_hz),
+            ("sync", self.pulse_hz / CLOCK_RATIO),
+        ):
             domain = ClockDomain(name, reset_less=True)
             m.domains += domain
             if name != "edge":  # nothing of the fabric runs on it
@@ -122,9 +154,9 @@ class Ecp5Clocks(Elaboratable):
         locked = Signal()
         m.submodules.pll = ecp5_pll(
             PllOutput(self.clock, self.clock_hz),
-            PllOutput(fast, EDGE_HZ),
-            PllOutput(slow, SYNC_HZ),
-            vco_hz=_VCO_HZ,
+            PllOutput(fast, 2 * self.pulse_hz),
+            PllOutput(slow, self.pulse_hz / CLOCK_RATIO),
+            vco_hz=4 * self.pulse_hz,
             locked=locked,
         )
         m.submodules.start = start = IoStart(self.clock, locked)

@@ -13,10 +13,11 @@ from ..common.version import source_hash
 from ..illuminator.gearing.ecp5 import Ecp5Gearing
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import PulseConfig
-from .ecp5_clocks import PULSE_HZ, SYNC_HZ, Ecp5Clocks
+from .ecp5_clocks import CLOCK_RATIO, PULSE_HZ, Ecp5Clocks
 from .illuminator_pins import add_from_platform
 from .pins import drive
-from .target import Target
+from .settings import choose_illuminator, illuminator_settings
+from .target import Options, Target
 
 FAST_ROUTES = {
     # keeps yosys from merging equal registers of channels into nets that span the device
@@ -32,15 +33,17 @@ FAST_ROUTES = {
 }
 
 
-def ecp5_config(pulse: PulseConfig | None = None) -> IlluminatorConfig:
+def ecp5_config(
+    pulse: PulseConfig | None = None, *, pulse_hz: float = PULSE_HZ
+) -> IlluminatorConfig:
     """Return the configuration of the illuminator on ECP5.
 
     The sequencer's memory is made of LUTs: block memory needs more than a clock of `pulse`.
     """
     return IlluminatorConfig(
         pulse=pulse or PulseConfig(),
-        pulse_hz=PULSE_HZ,
-        clock_ratio=round(PULSE_HZ / SYNC_HZ),
+        pulse_hz=pulse_hz,
+        clock_ratio=CLOCK_RATIO,
         source=source_hash(),
         memory_style="distributed",
     )
@@ -51,19 +54,21 @@ class Ecp5Illuminator(Elaboratable):
 
     Parameters
     ----------
+    config : IlluminatorConfig
+        What is built.
     armed : tuple of str and int
         Resource of the indicator LED that is lit while the board is armed.
     """
 
-    def __init__(self, *, armed: tuple[str, int]) -> None:
+    def __init__(self, config: IlluminatorConfig, /, *, armed: tuple[str, int]) -> None:
         self.armed = armed
-        self.config = ecp5_config()
+        self.config = config
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency)
+        clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency, pulse_hz=self.config.pulse_hz)
         clocks.add_to(m, platform)
         gearing = Ecp5Gearing(clocks.io_reset)
         illuminator = add_from_platform(m, self.config, gearing, platform, clocks.failed)
@@ -73,15 +78,45 @@ class Ecp5Illuminator(Elaboratable):
 
 
 def illuminator_target(
-    board: str, platform: Callable[[], Platform], /, *, armed: tuple[str, int]
+    board: str,
+    platform: Callable[[], Platform],
+    options: Options,
+    /,
+    *,
+    armed: tuple[str, int],
+    leds: int,
+    pulse_hz: float = PULSE_HZ,
 ) -> Target:
-    """Return the illuminator on an ECP5 board; `armed` is as `Ecp5Illuminator` has it."""
+    """Return the illuminator on an ECP5 board.
+
+    Parameters
+    ----------
+    board : str
+        Name of the board.
+    platform : callable
+        Returns the platform with all pins.
+    options : Options
+        Choices of the user.
+    armed : tuple of str and int
+        See `Ecp5Illuminator`.
+    leds : int
+        Pins that the board has for LEDs.
+    pulse_hz : float
+        Frequency of the domain `pulse`; a tick is a quarter of its clock.
+
+    Returns
+    -------
+    Target
+        What can be built.
+    """
+    config = choose_illuminator(ecp5_config(pulse_hz=pulse_hz), options, board=board, leds=leds)
     return Target(
         design="illuminator",
         board=board,
         platform=platform,
-        top=lambda: Ecp5Illuminator(armed=armed),
-        clocks_mhz={"pulse": PULSE_HZ / 1e6, "sync": SYNC_HZ / 1e6},
+        top=lambda: Ecp5Illuminator(config, armed=armed),
+        clocks_mhz={"pulse": config.pulse_hz / 1e6, "sync": config.sync_hz / 1e6},
         family="ecp5",
         options=FAST_ROUTES,
+        settings=illuminator_settings(config),
     )

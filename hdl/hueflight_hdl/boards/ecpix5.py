@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ECPIX-5 board with an ECP5-85F, speed grade 8."""
+"""The ECPIX-5 board with an ECP5-85F or -45F, speed grade 8."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 from amaranth.build import Attrs, Pins, Platform, Resource
 from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance, Module, Signal
 from amaranth.lib import io
 from amaranth.lib.cdc import ResetSynchronizer
 from amaranth.lib.wiring import connect
-from amaranth_boards.ecpix5 import ECPIX585Platform
+from amaranth_boards.ecpix5 import ECPIX545Platform, ECPIX585Platform
 
+from ..camera.camera import CameraConfig
 from ..link.usb import UsbLink
-from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_config, camera_target
+from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_target
 from .ecp5_clocks import AIM
 from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
@@ -42,15 +44,24 @@ _PHY_CLOCKS = round(1e-3 * SYNC_HZ)
 """A millisecond of reset for the transceiver, and another until it is used."""
 
 
-def _platform(resources: list[Resource]) -> Platform:
-    platform = ECPIX585Platform()
+_SIZES: dict[str, type[Any]] = {"45f": ECPIX545Platform, "85f": ECPIX585Platform}
+
+
+def _platform(size: str, resources: list[Resource]) -> Platform:
+    platform = _SIZES[size]()
     platform.add_resources(resources)
     return platform
 
 
-def illuminator(options: Options) -> Target:
-    """Return the illuminator on this board."""
-    return illuminator_target("ecpix5-85f", lambda: _platform(_ILLUMINATOR), armed=("rgb_led", 0))
+def illuminator(options: Options, size: str) -> Target:
+    """Return the illuminator on this board, with an FPGA of a size."""
+    return illuminator_target(
+        f"ecpix5-{size}",
+        lambda: _platform(size, _ILLUMINATOR),
+        options,
+        armed=("rgb_led", 0),
+        leds=9,
+    )
 
 
 class _UsbClock(Elaboratable):
@@ -83,8 +94,8 @@ class _UsbClock(Elaboratable):
 class UsbCamera(Elaboratable):
     """The camera with a synthetic sensor, behind USB 2 at high speed."""
 
-    def __init__(self, lanes: int | None) -> None:
-        self.config = camera_config(lanes)
+    def __init__(self, config: CameraConfig) -> None:
+        self.config = config
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
@@ -112,12 +123,12 @@ class UsbCamera(Elaboratable):
         return m
 
 
-def camera(options: Options) -> Target:
-    """Return the camera on this board."""
+def camera(options: Options, size: str) -> Target:
+    """Return the camera on this board, with an FPGA of a size."""
     return camera_target(
-        "ecpix5-85f",
-        lambda: _platform(_CAMERA),
+        f"ecpix5-{size}",
+        lambda: _platform(size, _CAMERA),
         UsbCamera,
-        lanes=options.lanes,
+        options,
         link_mhz={"usb": USB_HZ / 1e6},
     )

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from amaranth.build import Platform
 from amaranth.hdl import Elaboratable
@@ -27,10 +28,13 @@ class Options:
         TOML file of pins, for boards whose wiring depends on the builder.
     lanes : int, optional
         Codes per clock at the camera's sensor port.
+    settings : mapping
+        Sizes and limits by name, see `boards.settings`; others are those of the board.
     """
 
     pins: Path | None = None
     lanes: int | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -49,13 +53,15 @@ class Target:
         Required frequency of each clock domain in MHz.
     family : str
         ``"ecp5"`` or ``"ice40"``, built with open tools; ``"xc3s"`` or ``"xc6s"``, for which a
-        project for Xilinx ISE is written.
+        project for Xilinx ISE is written; ``"xc7"``, for which it is one for Vivado.
     options : mapping of str to str
         Build options of the Amaranth platform.
     lanes : int, optional
         Codes per clock at the camera's sensor port.
     blackboxes : str
         Verilog declarations of modules that come with the vendor's software.
+    settings : mapping of str to int
+        Sizes and limits of this build, see `boards.settings`.
     """
 
     design: str
@@ -67,3 +73,4 @@ class Target:
     options: Mapping[str, str] = field(default_factory=dict)
     lanes: int | None = None
     blackboxes: str = ""
+    settings: Mapping[str, int] = field(default_factory=dict)

@@ -3,19 +3,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
 
+from .from_file import target_from_file
+from .settings import check_settings
 from .target import Options, Target, TargetError
 
 _MAKERS = {
-    ("illuminator", "ulx3s-85f"): "ulx3s:illuminator",
-    ("illuminator", "ecpix5-85f"): "ecpix5:illuminator",
+    **{
+        (design, f"{board}-{size}"): f"{board}:{design}:{size}"
+        for board, sizes in (("ulx3s", ("85f", "45f", "25f", "12f")), ("ecpix5", ("85f", "45f")))
+        for design in ("illuminator", "camera")
+        for size in sizes
+    },
     ("illuminator", "hx8k"): "hx8k:illuminator",
     ("illuminator", "xem3010"): "xem3010:illuminator",
-    ("camera", "ulx3s-85f"): "ulx3s:camera",
-    ("camera", "ecpix5-85f"): "ecpix5:camera",
     ("camera", "xem6310"): "xem6310:camera",
 }
+"""Module and function of each target; boards with devices of several sizes have the size too."""
+ENTRY_POINTS = "hueflight.boards"
+"""Entry points of other distributions: functions of design and `Options` that return a `Target`."""
 _WITH_PINS = ("xem3010", "xem6310")
 
 
@@ -35,7 +45,8 @@ def find_target(design: str, board: str, options: Options | None = None, /) -> T
     Parameters
     ----------
     design, board : str
-        Names as on the command line.
+        Names as on the command line; the board may be the path of a board file, or the name of an
+        entry point of another distribution.
     options : Options, optional
         Choices of the user.
 
@@ -53,11 +64,19 @@ def find_target(design: str, board: str, options: Options | None = None, /) -> T
     options = options or Options()
     if design not in designs():
         raise TargetError(f"there is no design {design!r}: choose one of {', '.join(designs())}")
+    options = replace(options, settings=check_settings(design, options.settings))
+    if board.endswith((".toml", ".py")):
+        return target_from_file(design, Path(board), options)
     maker = _MAKERS.get((design, board))
     if maker is None:
+        installed = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+        if board in installed:
+            return installed[board].load()(design, options)
+        others = f", {', '.join(installed)}" if installed else ""
         raise TargetError(
             f"the {design} cannot be built for {board!r}: choose one of "
-            f"{', '.join(boards_of(design))}"
+            f"{', '.join(boards_of(design))}{others}, or give the path of a board file "
+            "(.toml or .py)"
         )
     if options.lanes is not None and design != "camera":
         raise TargetError(
@@ -65,5 +84,5 @@ def find_target(design: str, board: str, options: Options | None = None, /) -> T
         )
     if options.pins is not None and board not in _WITH_PINS:
         raise TargetError(f"--pins {options.pins}: the pins of {board} are fixed; leave it out")
-    module, function = maker.split(":")
-    return getattr(import_module(f".{module}", __package__), function)(options)
+    module, function, *size = maker.split(":")
+    return getattr(import_module(f".{module}", __package__), function)(options, *size)

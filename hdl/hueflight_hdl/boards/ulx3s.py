@@ -1,17 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ULX3S board with an ECP5-85F."""
+"""The ULX3S board with an ECP5-85F, or a smaller one."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from amaranth.build import Attrs, Pins, Platform, Resource, Subsignal
 from amaranth.hdl import ClockDomain, ClockSignal, Const, Elaboratable, Instance, Module
 from amaranth.lib import io
 from amaranth.lib.wiring import connect
-from amaranth_boards.ulx3s import ULX3S_85F_Platform
+from amaranth_boards.ulx3s import (
+    ULX3S_12F_Platform,
+    ULX3S_25F_Platform,
+    ULX3S_45F_Platform,
+    ULX3S_85F_Platform,
+)
 
+from ..camera.camera import CameraConfig
 from ..link.ft601 import Ft601Link
 from ..link.serial import SerialLink
-from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_config, camera_target
+from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_target
 from .ecp5_clocks import AIM
 from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
@@ -64,15 +72,25 @@ FT_HZ = 100e6
 _BAUD = 3e6
 
 
-def _platform(resources: list[Resource]) -> Platform:
-    platform = ULX3S_85F_Platform()
+_SIZES: dict[str, type[Any]] = {
+    "12f": ULX3S_12F_Platform,
+    "25f": ULX3S_25F_Platform,
+    "45f": ULX3S_45F_Platform,
+    "85f": ULX3S_85F_Platform,
+}
+
+
+def _platform(size: str, resources: list[Resource]) -> Platform:
+    platform = _SIZES[size]()
     platform.add_resources(resources)
     return platform
 
 
-def illuminator(options: Options) -> Target:
-    """Return the illuminator on this board."""
-    return illuminator_target("ulx3s-85f", lambda: _platform(_ILLUMINATOR), armed=("led", 0))
+def illuminator(options: Options, size: str) -> Target:
+    """Return the illuminator on this board, with an FPGA of a size."""
+    return illuminator_target(
+        f"ulx3s-{size}", lambda: _platform(size, _ILLUMINATOR), options, armed=("led", 0), leds=9
+    )
 
 
 class Ft601Camera(Elaboratable):
@@ -81,8 +99,8 @@ class Ft601Camera(Elaboratable):
     The board itself has no transceiver for high-speed USB.
     """
 
-    def __init__(self, lanes: int | None) -> None:
-        self.config = camera_config(lanes)
+    def __init__(self, config: CameraConfig) -> None:
+        self.config = config
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
@@ -115,12 +133,12 @@ class Ft601Camera(Elaboratable):
         return m
 
 
-def camera(options: Options) -> Target:
-    """Return the camera on this board."""
+def camera(options: Options, size: str) -> Target:
+    """Return the camera on this board, with an FPGA of a size."""
     return camera_target(
-        "ulx3s-85f",
-        lambda: _platform(_CAMERA),
+        f"ulx3s-{size}",
+        lambda: _platform(size, _CAMERA),
         Ft601Camera,
-        lanes=options.lanes,
+        options,
         link_mhz={"ft": FT_HZ / 1e6},
     )

@@ -21,6 +21,7 @@ from ..illuminator.pulse_generator.config import Limits, PulseConfig
 from .illuminator_pins import GearedPorts, add_illuminator
 from .pin_file import PinFile, read_pins
 from .pins import drive_pin, read_pin
+from .settings import choose_illuminator, illuminator_settings
 from .target import Options, Target
 
 WIRED = {
@@ -98,14 +99,15 @@ class _Clocks(Elaboratable):
 
 
 class _Top(Elaboratable):
-    def __init__(self, clock_hz: float) -> None:
+    def __init__(self, config: IlluminatorConfig, clock_hz: float) -> None:
+        self.config = config
         self.clock_hz = clock_hz
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
         m.submodules.oscillator = clock = io.Buffer("i", platform.request("clock", 0, dir="-"))
         _Clocks(clock.i, self.clock_hz).add_to(m, platform)
-        config = xem3010_config(self.clock_hz)
+        config = self.config
         pulses = platform.request("led_pulse", 0, dir="-")
         ports = GearedPorts(
             trigger=platform.request("trigger", 0, dir="-"),
@@ -133,11 +135,13 @@ def illuminator(options: Options) -> Target:
     """Return the illuminator on this board."""
     pins = read_pins(options.pins, "xem3010", WIRED)
     clock_hz = pins.clock_hz or 0.0
+    config = choose_illuminator(xem3010_config(clock_hz), options, board="xem3010", leds=9)
     return Target(
         design="illuminator",
         board="xem3010",
         platform=lambda: _platform(pins),
-        top=lambda: _Top(clock_hz),
+        top=lambda: _Top(config, clock_hz),
+        settings=illuminator_settings(config),
         clocks_mhz={"pulse": clock_hz / 1e6, "sync": clock_hz / 2e6},
         family="xc3s",
     )

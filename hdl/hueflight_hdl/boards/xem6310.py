@@ -14,9 +14,11 @@ from amaranth.lib import io
 from amaranth.lib.wiring import connect
 from amaranth.vendor import XilinxPlatform
 
+from ..camera.camera import CameraConfig
 from ..link.opal_kelly import BLACKBOXES, OpalKellyLink, OpalKellyPins
 from .ecp5_camera import SYNC_HZ, add_camera, camera_config
 from .pin_file import PinFile, read_pins
+from .settings import camera_settings
 from .target import Options, Target
 
 OK_HZ = 100.8e6
@@ -59,8 +61,8 @@ class Xem6310Platform(XilinxPlatform):
 class OpalKellyCamera(Elaboratable):
     """The camera with a synthetic sensor, behind Opal Kelly's host interface."""
 
-    def __init__(self, lanes: int | None) -> None:
-        self.config = camera_config(lanes)
+    def __init__(self, config: CameraConfig) -> None:
+        self.config = config
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
@@ -91,13 +93,15 @@ def _platform(pins: PinFile) -> Platform:
 def camera(options: Options) -> Target:
     """Return the camera on this board."""
     pins = read_pins(options.pins, "xem6310", WIRED)
+    config = camera_config(options)
     return Target(
         design="camera",
         board="xem6310",
         platform=lambda: _platform(pins),
-        top=lambda: OpalKellyCamera(options.lanes),
+        top=lambda: OpalKellyCamera(config),
         clocks_mhz={"sync": SYNC_HZ / 1e6, "ok": OK_HZ / 1e6},
-        lanes=camera_config(options.lanes).form.lanes,
+        lanes=config.form.lanes,
+        settings=camera_settings(config),
         family="xc6s",
         blackboxes=BLACKBOXES,
     )

@@ -8,8 +8,9 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ..boards.settings import write_design_file
 from ..boards.target import Target
-from ..toolchain import TOOLS, require_tool, run_tool
+from ..toolchain import TOOLS, ToolError, require_tool, run_tool
 from .clock_constraints import rename_clocks
 from .report import (
     REQUIRED_MARGIN,
@@ -29,6 +30,14 @@ _PACKERS = {
     "ice40": ("nextpnr-ice40", "icepack", ".asc", ".bin"),
 }
 """Router, packer, and the file extensions of what they write."""
+_VENDOR_TOOLS = {"xc3s": "ISE", "xc6s": "ISE", "xc7": "Vivado"}
+_NO_ROOM = re.compile(r"no BELs remaining|[Uu]nable to (place|find)|ran out of|not enough|exceed")
+"""What routers say of a design that is too large for its device."""
+_SIZES = {
+    "illuminator": ("channels", "pulses", "steps"),
+    "camera": ("lanes", "code_bits", "run", "banks", "buffer_words"),
+}
+"""Settings that decide how large a design is."""
 _ECP5_ROUTE = " --placer-heap-timingweight 30 --tmg-ripup"
 """These designs fill little of the device, and the default weight of 10 spreads them over it."""
 
@@ -82,8 +91,8 @@ def build(
     """
     if target.family not in _PACKERS:
         raise BuildError(
-            f"{target.board} needs Xilinx ISE: write a project for it with "
-            f"`hueflight-hdl verilog {target.design} --board {target.board}`"
+            f"{target.board} needs Xilinx {_VENDOR_TOOLS[target.family]}: write a project for it "
+            f"with `hueflight-hdl verilog {target.design} --board {target.board}`"
         )
     if not seeds:
         raise BuildError("seeds is empty: give at least one seed for placement and routing")
@@ -98,7 +107,7 @@ def build(
     best = seeds[0]
     for seed in seeds:
         progress(f"placement and routing, seed {seed}")
-        run_tool(*route, "--seed", str(seed), cwd=folder)
+        _route(target, [*route, "--seed", str(seed)], folder)
         tried[seed] = read_clocks(folder / "nextpnr.json", target.clocks_mhz)
         progress(f"seed {seed}: " + describe_clocks(tried[seed]))
         if seed == seeds[0] or smallest_margin(tried[seed]) > smallest_margin(tried[best]):
@@ -153,9 +162,25 @@ def prepare(target: Target, folder: Path, /) -> list[list[str]]:
     options["script_after_synth"] = "; ".join(
         filter(None, (options.get("script_after_synth"), _ONLY_TOP))
     )
+    if target.settings:
+        write_design_file(folder / "design.toml", target.design, target.settings)
     plan = target.platform().prepare(target.top(), NAME, emit_src=False, **options)
     plan.extract(str(folder))
     return _commands(folder / f"build_{NAME}.sh") if target.family in _PACKERS else []
+
+
+def _route(target: Target, command: list[str], folder: Path) -> None:
+    """Place and route; say what to do if the device is too small."""
+    try:
+        run_tool(*command, cwd=folder)
+    except ToolError as error:
+        if not _NO_ROOM.search(str(error)):
+            raise
+        chosen = ", ".join(f"{name} = {target.settings[name]}" for name in _SIZES[target.design])
+        raise BuildError(
+            f"the {target.design} does not fit {target.board} with {chosen}: choose less with "
+            f"--set NAME=VALUE\n{error}"
+        ) from error
 
 
 def smallest_margin(clocks: dict[str, ClockResult], /) -> float:

@@ -12,15 +12,24 @@ from ..toolchain import run_tool, tool_environment
 from .build import NAME, prepare
 from .report import BuildError
 
-_ISE_SYNTHESIS = {
+_XILINX_SYNTHESIS = {
     "xc3s": "synth_xilinx -family xc3s -ise -flatten",
     "xc6s": "synth_xilinx -family xc6s -ise -flatten",
+    "xc7": "synth_xilinx -family xc7 -flatten",
 }
 _KINDS = {
     "LUT": ("LUT1", "LUT2", "LUT3", "LUT4", "LUT5", "LUT6", "SB_LUT4"),
     "flip-flop": ("FDRE", "FDSE", "FDCE", "FDPE", "FDR", "FDS", "FD", "FDE", "TRELLIS_FF"),
-    "block RAM": ("RAMB16BWER", "RAMB8BWER", "RAMB16", "DP16KD", "SB_RAM40_4K"),
-    "LUT RAM": ("TRELLIS_DPR16X4",),
+    "block RAM": (
+        "RAMB16BWER",
+        "RAMB8BWER",
+        "RAMB16",
+        "RAMB18E1",
+        "RAMB36E1",
+        "DP16KD",
+        "SB_RAM40_4K",
+    ),
+    "LUT RAM": ("TRELLIS_DPR16X4", "RAM32M", "RAM64M", "RAM32X1D", "RAM64X1D"),
     "carry cell": ("CARRY4", "MUXCY", "XORCY", "CCU2C", "SB_CARRY"),
 }
 
@@ -64,10 +73,10 @@ def estimate(target: Target, folder: Path, /) -> dict[str, int]:
     It is an estimate: nothing has been packed, placed or routed. It is also written as
     ``counts.json``, for the page of bitstreams.
     """
-    if target.family in _ISE_SYNTHESIS:
+    if target.family in _XILINX_SYNTHESIS:
         (folder / "blackboxes.v").write_text(target.blackboxes)
         passes = f"read_verilog -lib blackboxes.v; read_verilog {NAME}.v; "
-        passes += f"{_ISE_SYNTHESIS[target.family]} -top {NAME}; "
+        passes += f"{_XILINX_SYNTHESIS[target.family]} -top {NAME}; "
     else:
         passes = f"script {NAME}.ys; "
     passes += "tee -q -o cells.json stat -json"

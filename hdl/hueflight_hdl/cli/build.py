@@ -10,11 +10,11 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
-from ..boards.target import Options
 from ..boards.targets import find_target
 from ..build.build import build as build_target
 from ..build.report import REQUIRED_MARGIN, BuildError, BuildReport
 from .app import EXIT_SHORT, Progress, app, errors
+from .options import read_options
 
 
 @app.command
@@ -28,6 +28,8 @@ def build(
     seeds: int = 8,
     accept_margin: Annotated[float, Parameter(name="--accept-margin")] = 100 * REQUIRED_MARGIN,
     lanes: int | None = None,
+    set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
+    design_file: Path | None = None,
     json: bool = False,
 ) -> None:
     """Build a bitstream with the open tools and report its timing margins and cell counts.
@@ -40,7 +42,8 @@ def build(
     design
         Design to build: illuminator or camera.
     board
-        Board to build for, for example ulx3s-85f. An unknown name makes the error list all boards.
+        Board to build for, for example ulx3s-85f, or the path of a board file. An unknown name
+        makes the error list all boards.
     folder
         Output folder. The default is build/DESIGN-BOARD.
     seed
@@ -51,6 +54,11 @@ def build(
         Required timing margin in percent: how much faster than its frequency each clock can run.
     lanes
         Number of codes per clock at the camera's sensor port: 1, 2, 4 or 8.
+    set_
+        A size or limit as NAME=VALUE, for example channels=4; may be repeated. An unknown name
+        makes the error list all names.
+    design_file
+        TOML file of sizes and limits; --set has precedence. Each build writes one, design.toml.
     json
         Print the report as JSON instead of a table.
     """
@@ -61,10 +69,12 @@ def build(
             f"--accept-margin {accept_margin:g}: must be 0 or more; with a negative margin "
             "the design would not work"
         )
-    target = find_target(design, board, Options(lanes=lanes))
+    target = find_target(
+        design, board, read_options(lanes=lanes, words=set_, design_file=design_file)
+    )
     report = build_target(
         target,
-        folder or Path("build") / f"{design}-{board}",
+        folder or Path("build") / f"{design}-{target.board}",
         seeds=range(seed, seed + seeds),
         margin=accept_margin / 100,
         progress=Progress(),

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
-from ..boards.target import Options
+from cyclopts import Parameter
+
 from ..boards.targets import find_target
 from ..build.project import estimate, write_project
 from .app import Progress, app
+from .options import read_options
 
 
 @app.command
@@ -20,6 +23,8 @@ def verilog(
     folder: Path | None = None,
     pins: Path | None = None,
     lanes: int | None = None,
+    set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
+    design_file: Path | None = None,
     count: bool = False,
 ) -> None:
     """Write a design as a Verilog project with constraints and build scripts.
@@ -29,19 +34,29 @@ def verilog(
     design
         Design to write: illuminator or camera.
     board
-        Board to write the project for, for example ulx3s-85f, or the paper's xem3010 or xem6310.
+        Board to write the project for, for example ulx3s-85f, the paper's xem3010 or xem6310, or
+        the path of a board file.
     folder
         Output folder. The default is build/DESIGN-BOARD-project.
     pins
         TOML file with the FPGA pins, required for boards whose wiring depends on the builder.
     lanes
         Number of codes per clock at the camera's sensor port: 1, 2, 4 or 8.
+    set_
+        A size or limit as NAME=VALUE, for example channels=4; may be repeated. An unknown name
+        makes the error list all names.
+    design_file
+        TOML file of sizes and limits; --set has precedence.
     count
         Estimate the resources with yosys and print them.
     """
     progress = Progress()
-    target = find_target(design, board, Options(pins=pins, lanes=lanes))
-    where = folder or Path("build") / f"{design}-{board}-project"
+    target = find_target(
+        design,
+        board,
+        read_options(pins=pins, lanes=lanes, words=set_, design_file=design_file),
+    )
+    where = folder or Path("build") / f"{design}-{target.board}-project"
     progress(f"writing {design} for {board}")
     for path in write_project(target, where):
         print(path)

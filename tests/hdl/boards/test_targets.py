@@ -23,15 +23,16 @@ marker = ["A13", "C15", "A11", "A7", "A6", "C7", "C9", "A9"]
 
 def test_designs_and_boards():
     assert designs() == ["camera", "illuminator"]
-    assert {"ulx3s-85f", "ecpix5-85f", "hx8k", "xem3010"} == set(boards_of("illuminator"))
-    assert {"ulx3s-85f", "ecpix5-85f", "xem6310"} == set(boards_of("camera"))
+    ecp5 = {*(f"ulx3s-{size}" for size in ("12f", "25f", "45f", "85f")), "ecpix5-45f", "ecpix5-85f"}
+    assert {*ecp5, "hx8k", "xem3010"} == set(boards_of("illuminator"))
+    assert {*ecp5, "xem6310"} == set(boards_of("camera"))
 
 
 @pytest.mark.parametrize(
     ("design", "board", "options", "said"),
     [
         ("lamp", "hx8k", Options(), "camera, illuminator"),
-        ("camera", "hx8k", Options(), "ulx3s-85f, ecpix5-85f, xem6310"),
+        ("camera", "hx8k", Options(), "ulx3s-85f, ulx3s-45f, .*, xem6310"),
         ("illuminator", "hx8k", Options(lanes=4), "only the camera has a sensor port with lanes"),
         ("illuminator", "xem3010", Options(), r"is not guessed: give --pins .*clock_hz.*led_pulse"),
         ("camera", "xem6310", Options(), r"not guessed: give --pins .*marker \(8 pins\)"),

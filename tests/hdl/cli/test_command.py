@@ -31,7 +31,7 @@ def test_help_names_every_command(capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["build", "illuminator", "--board", "de10"], "one of ulx3s-85f, ecpix5-85f, hx8k"),
+        (["build", "illuminator", "--board", "de10"], "one of ulx3s-85f, ulx3s-45f"),
         (["build", "radio", "--board", "hx8k"], "one of camera, illuminator"),
         (["build", "illuminator", "--board", "hx8k", "--seeds", "0"], "--seeds 0"),
         (["build", "illuminator", "--board", "hx8k", "--accept-margin", "-5"], "-5"),

@@ -79,7 +79,8 @@ class Sequencer(wiring.Component):
         # `MIN_SPACING` clocks apart, so the answer may take a few.
         units = Signal(32)
         fewer = Signal(32)
-        has_idle = Signal()
+        idle_parts = Signal(8)
+        has_idle = Signal()  # two clocks late, as `last` is
         counting = Signal()  # trains of the present choice are units
         unit = Signal()
         darken = Signal()
@@ -87,7 +88,8 @@ class Sequencer(wiring.Component):
         last = self._is_last(m, units)
         m.d.pulse += [
             fewer.eq(units - 1),
-            has_idle.eq(self.idle_left.any()),
+            *(idle_parts[i].eq(self.idle_left[4 * i : 4 * i + 4].any()) for i in range(8)),
+            has_idle.eq(idle_parts.any()),
             unit.eq(counting & Mux(self.by_frame, self.frame, self.served)),
             darken.eq(unit & last & lit & has_idle),
             advance.eq(unit & last & ~(lit & has_idle)),

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Boards from files outside the package: read, refused, elaborated, synthesised, routed."""
+
+import json
+import re
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from hueflight_hdl.boards import targets
+from hueflight_hdl.boards.board_file import read_board_file
+from hueflight_hdl.boards.ice40 import find_pll
+from hueflight_hdl.boards.target import Options, TargetError
+from hueflight_hdl.boards.targets import find_target
+from hueflight_hdl.boards.xc7 import find_multiplier
+from hueflight_hdl.build.build import build, prepare
+from hueflight_hdl.build.project import estimate, write_project
+
+EXAMPLES = Path(__file__).parent / "examples"
+PIN = {
+    "lpf": r'SITE "(\w+)"',
+    "pcf": r"set_io \S+ (\w+)",
+    "xdc": r"set_property LOC (\w+)",
+}
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+
+
+@pytest.mark.parametrize(
+    ("name", "leds", "constraints"), [("upduino", 4, "pcf"), ("colorlight-32", 32, "lpf")]
+)
+def test_every_pin_of_a_board_file_is_placed_once(tmp_path, name, leds, constraints):
+    board = read_board_file(EXAMPLES / f"{name}.toml")
+    target = find_target("illuminator", str(EXAMPLES / f"{name}.toml"))
+    prepare(target, tmp_path)
+    found = re.findall(PIN[constraints], (tmp_path / f"top.{constraints}").read_text())
+    wanted = [board.clock_pin, *(pin for group in board.pins.values() for pin in group)]
+    assert sorted(found) == sorted(wanted)
+    assert target.board == name
+    assert target.settings["channels"] == leds == len(board.pins["led_pulse"])
+
+
+def test_a_vivado_project(simulator, tmp_path):
+    """Four ticks a clock through serialisers, released pins, and no bitstream if timing fails."""
+    target = find_target("illuminator", str(EXAMPLES / "arty-a7.toml"))
+    names = {path.name for path in write_project(target, tmp_path)}
+    assert {"top.v", "top.xdc", "top.tcl", "design.toml"} <= names
+    verilog = (tmp_path / "top.v").read_text()
+    assert len(re.findall(r"^ *OSERDESE2 #", verilog, re.M)) == 9 + 1  # LEDs and trigger out
+    assert len(re.findall(r"^ *ISERDESE2 #", verilog, re.M)) == 1
+    assert len(re.findall(r"^ *BUFGCE ", verilog, re.M)) == 3
+    (multiplier,) = re.findall(r"\.CLKFBOUT_MULT\(32'd(\d+)\)", verilog)
+    divisions = re.findall(r"\.CLKOUT\d_DIVIDE\(32'd(\d+)\)", verilog)
+    # Xilinx UG472: f = f_in · multiplier / division, with 800 to 1600 MHz between
+    made = [100 * int(multiplier) / int(division) for division in divisions]
+    assert made == [400, 200, 50]
+    xdc = (tmp_path / "top.xdc").read_text()
+    assert "create_clock -name clock_0__io -period 10.0" in xdc
+    script = (tmp_path / "top.tcl").read_text()
+    assert script.index("timing is not met") < script.index("write_bitstream")
+
+
+@pytest.mark.slow
+def test_a_vivado_project_is_synthesised(builder, tmp_path):
+    target = find_target("illuminator", str(EXAMPLES / "arty-a7.toml"))
+    write_project(target, tmp_path)
+    counted = estimate(target, tmp_path)
+    assert 3000 < counted["LUT"] < 20800  # of an Artix-7 35T
+    cells = json.loads((tmp_path / "cells.json").read_text())["design"]["num_cells_by_type"]
+    assert cells["OSERDESE2"] == 10
+    assert cells["OBUFT"] >= 9
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_four_leds_on_an_up5k_have_their_margin(builder, tmp_path):
+    report = build(find_target("illuminator", str(EXAMPLES / "upduino.toml")), tmp_path)
+    assert report.reached, report.to_json()
+    used, available = report.used["logic cell"]
+    assert used < available
+
+
+def test_a_python_file_and_an_entry_point(monkeypatch):
+    path = EXAMPLES / "own_board.py"
+    options = Options(settings={"channels": 3})
+    assert find_target("illuminator", str(path), options).settings["channels"] == 3
+    with pytest.raises(TargetError, match="the camera does not fit this board"):
+        find_target("camera", str(path))
+
+    def make(design: str, options: Options):
+        return find_target(design, str(path), options)
+
+    class Point(EntryPoint):
+        def load(self):
+            return make
+
+    point = Point("own", "nowhere:make", targets.ENTRY_POINTS)
+    monkeypatch.setattr(targets, "entry_points", lambda group: [point])
+    assert find_target("illuminator", "own").board == "upduino"
+    with pytest.raises(TargetError, match=r"xem3010, own, or give the path of a board file"):
+        find_target("illuminator", "other")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (('family = "ice40"', 'family = "nexus"'), "'nexus': must be one of ecp5, ice40, xc7"),
+        (("[clock]", "[clocks]"), "unknown name clocks: the names are name, family"),
+        (("hz = 12e6", "hz = -1"), r"clock\.hz = -1: must be a frequency"),
+        (('rx = "12"', 'rx = "21"'), "21 is used more than once"),
+        (('trigger = "28"', ""), r"pins\.trigger = None: must be a pin"),
+        (('"44", "4"]', '"44"]'), r"pins\.marker = .* must be a list of 8 pins"),
+        (("led_pulse =", "leds ="), r"unknown name pins\.leds"),
+        (("pulses = 1", "pulses = 9"), "settings: pulses = 9: must be from 1 to 4"),
+        (
+            ("pulses = 1", "pulse = 1"),
+            "settings: the illuminator has no setting pulse: choose from",
+        ),
+        (("default = {", "defaults = {"), r"unknown name attributes\.defaults"),
+        (('name = "upduino"', ""), "name = None: must be a text"),
+        (("[pins]", "[pins"), "Expected|Invalid"),
+    ],
+)
+def test_board_files_are_checked(tmp_path, change, said):
+    text = (EXAMPLES / "upduino.toml").read_text()
+    assert text.count(change[0]) == 1
+    path = tmp_path / "board.toml"
+    path.write_text(text.replace(*change))
+    with pytest.raises(TargetError, match=said):
+        find_target("illuminator", str(path))
+
+
+def test_what_a_file_cannot_be(tmp_path):
+    with pytest.raises(TargetError, match="there is no such board file"):
+        find_target("illuminator", str(tmp_path / "absent.toml"))
+    with pytest.raises(TargetError, match="the camera needs a Python file with a function"):
+        find_target("camera", str(EXAMPLES / "upduino.toml"))
+    (tmp_path / "empty.py").write_text("")
+    with pytest.raises(TargetError, match="has no function target"):
+        find_target("illuminator", str(tmp_path / "empty.py"))
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        ("upduino", ("12e6", "5e6"), "the PLL takes 10 to 133 MHz"),
+        ("upduino", ("24e6", "5e6"), r"the PLL makes 8\.3 to 533 MHz"),
+        ("colorlight-32", ("150e6", "155e6"), r"half a multiple of the clock .* 150, 162\.5"),
+        ("colorlight-32", ("150e6", "250e6"), "must be from 1e.08 to 2e.08"),
+        ("arty-a7", ("hz = 100e6", "hz = 33e6"), "an oscillator of 800 to 1600 MHz"),
+    ],
+)
+def test_clocks_that_cannot_be_made(tmp_path, file, change, said):
+    path = tmp_path / "board.toml"
+    path.write_text((EXAMPLES / f"{file}.toml").read_text().replace(*change))
+    with pytest.raises(TargetError, match=said):
+        find_target("illuminator", str(path))
+
+
+def test_plls_of_known_boards():
+    assert find_pll(12e6, 100.5e6).hz == 100.5e6
+    assert find_pll(12e6, 100e6).hz == pytest.approx(100e6, rel=0.01)
+    assert find_multiplier(100e6, 200e6) in (8, 12, 16)
+    assert find_multiplier(25e6, 200e6) in (32, 48, 64)

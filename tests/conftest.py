@@ -22,6 +22,10 @@ MAY_LACK = (  #: beginnings of the reasons for which CI may skip
     "nginx is not installed",  # for the page on remote use
     "udevadm 252 has no verify",  # that of Debian 12
 )
+#: programs whose tests run in an environment of their own: tools/dev.py programs
+OTHER_PROGRAMS = "other programs are not installed: "
+if not os.environ.get("HUEFLIGHT_PROGRAMS"):
+    MAY_LACK += (OTHER_PROGRAMS,)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -4,6 +4,7 @@
 
     python3 tools/dev.py demo            the simulated instrument, end to end, as a report
     python3 tools/dev.py test [--full]   lint, format, types, tests; --full adds the slow ones
+    python3 tools/dev.py programs        tests with napari, Micro-Manager and Bluesky
     python3 tools/dev.py bench NAME      a benchmark of tools/bench
     python3 tools/dev.py faults          runs of the daemon with faults at random
     python3 tools/dev.py packages        the source archive and wheels of a release
@@ -29,6 +30,7 @@ VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 STAMP = VENV / ".hueflight-setup"
 OLDEST_PYTHON = (3, 11)
+PROGRAMS_VENV = ROOT / ".venv-programs"
 FIRST_PICTURE, EVERYTHING = "report,export,daemon", "dev"  #: extras of pyproject.toml
 
 
@@ -63,9 +65,9 @@ def set_up(extra: str) -> None:
     STAMP.write_text(recipe_digest(extra))
 
 
-def run(command: list[str]) -> None:
+def run(command: list[str], **environment: str) -> None:
     """Run a command in the project's root; a failure ends this program with its exit code."""
-    finished = subprocess.run(command, cwd=ROOT)
+    finished = subprocess.run(command, cwd=ROOT, env=os.environ | environment)
     if finished.returncode:
         print(f"failed ({finished.returncode}): {' '.join(command)}", file=sys.stderr)
         raise SystemExit(finished.returncode)
@@ -100,6 +102,20 @@ def packages(arguments: list[str]) -> None:
     run([str(BIN / "python"), str(ROOT / "tools" / "packages.py"), *arguments])
 
 
+def programs(arguments: list[str]) -> None:
+    """Tests with other programs, in an environment of their own: they bring a Qt and much else."""
+    python = PROGRAMS_VENV / BIN.name / "python"
+    if not python.exists():
+        print("Setting up .venv-programs (once; a minute or two) ...", flush=True)
+        venv.create(PROGRAMS_VENV, with_pip=True)
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    run([*pip, "-c", str(ROOT / "constraints-programs.txt"), "-e", f"{ROOT}[programs]"])
+    checker = str(ROOT / "tools" / "check_docstrings.py")
+    run([str(python), checker, str(ROOT / "host" / "hueflight" / "integrations")])
+    tests = ["tests/host/integrations", "-p", "no:cacheprovider", *arguments]
+    run([str(python), "-m", "pytest", *tests], HUEFLIGHT_PROGRAMS="1", QT_QPA_PLATFORM="offscreen")
+
+
 def run_inside(arguments: list[str]) -> None:
     if not arguments:
         raise SystemExit("run what? e.g. python3 tools/dev.py run hueflight --help")
@@ -114,6 +130,7 @@ def faults(arguments: list[str]) -> None:
 COMMANDS = {
     "demo": demo,
     "test": test,
+    "programs": programs,
     "bench": bench,
     "faults": faults,
     "packages": packages,
@@ -129,7 +146,8 @@ def main() -> None:
     )
     parser.add_argument("command", choices=[*COMMANDS, "setup"])
     arguments, rest = parser.parse_known_args()
-    set_up(FIRST_PICTURE if arguments.command == "demo" else EVERYTHING)
+    if arguments.command != "programs":
+        set_up(FIRST_PICTURE if arguments.command == "demo" else EVERYTHING)
     if arguments.command != "setup":
         COMMANDS[arguments.command](rest)
 

@@ -38,6 +38,7 @@ class BlockWindow:
     def __init__(self, length: int) -> None:
         self.length = length
         self.frames = 0
+        self._added = 0  # blocks since the sum began
         self._of_part = -(-length // PARTS)  # blocks
         parts = -(-length // self._of_part)
         # of a window of parts, the newest one is not complete yet
@@ -52,6 +53,11 @@ class BlockWindow:
     def least(self) -> int:
         """Blocks in the sum at least, once the window is full."""
         return self.length if self._of_part == 1 else (PARTS - 1) * self._of_part
+
+    @property
+    def full(self) -> bool:
+        """True if the sum has as many blocks as it can hold."""
+        return self._added >= self.least
 
     @classmethod
     def holding(cls, blocks: int, /) -> BlockWindow:
@@ -72,10 +78,12 @@ class BlockWindow:
     def add(self, block: LiveBlock) -> None:
         """Add a block, and drop the oldest ones if the window is full."""
         if self.length == 1:
+            self._added = 1
             self.frames, self._only = block.block.frames, _lent(block)
             return
         if self._newest is not None and _sequence(self._newest) != _sequence(block):
             self.clear()
+        self._added += 1
         self._newest = block
         if self._of_part == 1:
             self._kept.append(block)
@@ -106,6 +114,7 @@ class BlockWindow:
 
     def clear(self) -> None:
         """Forget all blocks."""
+        self._added = 0
         self.frames, self._only, self._newest = 0, None, None
         self._part, self._part_blocks, self._part_frames = None, 0, 0
         self._sum.clear()

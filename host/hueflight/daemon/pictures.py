@@ -116,16 +116,17 @@ class Pictures:
         self._on_picture = on_picture
         self._is_watched = is_watched
         self._threads = threads
-        self._fitter = IncrementalFitter(change_sigma=change_sigma, threads=threads)
+        self._change_sigma = change_sigma
+        self._fitter = self._new_fitter()
         self._waiting: deque[LiveBlock] = deque()
         self._window_blocks, self._rate_hz = window_blocks, rate_hz
         self._block_frames = block_frames
         self._window = self._make_window(self.settings)
         self._next_window: BlockWindow | GatheredWindow | None = None
+        self._filling = False  # since it began anew
         self._old_blocks = 0  # still to come, which began before the next window
         self._changed = threading.Condition()
         self._closing = False
-        self._change_sigma = change_sigma
         self.thread = SupervisedThread(
             self._work, name="pictures", on_failure=self._begin_anew, patience_s=PATIENCE_S
         )
@@ -230,6 +231,7 @@ class Pictures:
                 if self._next_window is not None:
                     self._window.clear()
                     self._window, self._next_window = self._next_window, None
+                    self._filling = True
                 blocks = list(self._waiting)
                 self._waiting.clear()
                 self._making = bool(blocks)
@@ -238,6 +240,9 @@ class Pictures:
             begun_s = time.monotonic()
             for block in blocks:
                 self._window.add(block)
+            if self._filling:  # no pixel may keep an estimate from fewer or older photons
+                self._fitter = self._new_fitter()
+                self._filling = isinstance(self._window, BlockWindow) and not self._window.full
             if self._is_wanted(begun_s):
                 self._make(blocks[-1], self._window.histogram(), self._window, begun_s)
 
@@ -256,7 +261,10 @@ class Pictures:
         """After a fault of the program: forget what may have caused it."""
         log.error("pictures failed", reason=reason, traceback=trace)
         self._window.clear()
-        self._fitter = IncrementalFitter(change_sigma=self._change_sigma, threads=self._threads)
+        self._fitter = self._new_fitter()
+
+    def _new_fitter(self) -> IncrementalFitter:
+        return IncrementalFitter(change_sigma=self._change_sigma, threads=self._threads)
 
     def _is_wanted(self, now: float) -> bool:
         """Whether somebody is watching, or would find the latest picture too old."""

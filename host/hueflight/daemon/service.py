@@ -17,12 +17,12 @@ from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.calibration import Calibration
+from hueflight.color.live_color import LiveColor
 from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.disk_watch import DiskWatch
 from hueflight.daemon.finisher import Finisher
 from hueflight.daemon.latency import LatencyMeter
-from hueflight.daemon.live_color import LiveColor
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.pictures import Pictures
 from hueflight.daemon.rate_meter import RateMeter

@@ -38,9 +38,11 @@ ORDER = (
     "batch",
     "live",
     "client",
+    "integrations",
     "devices",
     "emulation",
     "acquisition",
+    "testing",
     "daemon",
     "cli",
 )

@@ -73,8 +73,8 @@ def by_port(app: ASGIApp, others: Mapping[int, ASGIApp], /) -> ASGIApp:
     """
 
     async def chosen(scope: Scope, receive: Receive, send: Send) -> None:
-        port = (scope.get("server") or ("", None))[1]
-        await others.get(port, app)(scope, receive, send)
+        server = scope.get("server")
+        await (others.get(server[1], app) if server else app)(scope, receive, send)
 
     return chosen
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.daemon.live_color import LiveColor
+from hueflight.color.live_color import LiveColor
 from hueflight.daemon.picture import Picture
 from hueflight.live.image import message_of_image
 from hueflight.live.message import Plane, encode_message

@@ -12,8 +12,8 @@ import xarray as xr
 
 import hueflight as hf
 from hueflight.color import color_picture
+from hueflight.color.live_color import LiveColor
 from hueflight.daemon.http.picture_message import UNKNOWN, encode_picture
-from hueflight.daemon.live_color import LiveColor
 from hueflight.daemon.picture import Picture
 
 LIVE_COLOR = LiveColor(hf.Instrument.load("paper"))

@@ -10,6 +10,7 @@ from pathlib import Path
 from ..boards.target import Target
 from ..toolchain import run_tool, tool_environment
 from .build import NAME, prepare
+from .open_project import complete_project
 from .report import BuildError
 
 _XILINX_SYNTHESIS = {
@@ -34,7 +35,7 @@ _KINDS = {
 }
 
 
-def write_project(target: Target, folder: Path, /) -> list[Path]:
+def write_project(target: Target, folder: Path, /, *, constraints: bool = True) -> list[Path]:
     """Write a target's Verilog, constraints and scripts.
 
     Parameters
@@ -43,6 +44,9 @@ def write_project(target: Target, folder: Path, /) -> list[Path]:
         Design and board.
     folder : Path
         Output folder; it is created if needed.
+    constraints : bool
+        True to complete a project for open tools, see `open_project`, which takes a synthesis;
+        False where only the Verilog is needed.
 
     Returns
     -------
@@ -56,7 +60,7 @@ def write_project(target: Target, folder: Path, /) -> list[Path]:
     """
     # Amaranth calls yosys by itself where a vendor's tools want Verilog
     os.environ.setdefault("YOSYS", tool_environment().get("YOSYS", "yosys"))
-    prepare(target, folder)
+    commands = prepare(target, folder)
     verilog = folder / f"{NAME}.v"
     if (folder / f"{NAME}.il").exists():
         passes = f"read_rtlil {NAME}.il; proc -nomux -norom; memory_collect; "
@@ -64,6 +68,8 @@ def write_project(target: Target, folder: Path, /) -> list[Path]:
         run_tool("yosys", "-q", "-p", passes, cwd=folder)
     if not verilog.exists():
         raise BuildError(f"{folder}: no Verilog was written")
+    if commands and constraints:
+        complete_project(target, commands, folder, NAME)
     return sorted(path for path in folder.iterdir() if path.is_file())
 
 

@@ -37,7 +37,7 @@ def compiled(verilator: None, tmp_path_factory: pytest.TempPathFactory) -> Calla
     def make(board: str) -> Path:
         if board not in programs:
             folder = tmp_path_factory.mktemp(board)
-            write_project(find_target("illuminator", board), folder)
+            write_project(find_target("illuminator", board), folder, constraints=False)
             programs[board] = compile_board(folder / "top.v", oscillator_hz=OSCILLATORS_HZ[board])
         return programs[board]
 

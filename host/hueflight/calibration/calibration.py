@@ -22,6 +22,7 @@ from hueflight.calibration.store import (
     write_store,
 )
 from hueflight.errors import CalibrationError, InstrumentError
+from hueflight.files.ages import age
 from hueflight.model.emission import Emission
 from hueflight.model.instrument import Instrument
 from hueflight.model.instrument_text import facts_html
@@ -121,6 +122,8 @@ class Calibration:
         made = {
             key: self.provenance[key] for key in ("created", "software") if key in self.provenance
         }
+        if "created" in made:
+            made["created"] = f"{made['created']} ({age(made['created'])})"
         return {
             "instrument": f"{self.instrument.name} ({self.instrument.fingerprint()})",
             "pixels": f"{self.usable.shape[0]} rows, {self.usable.shape[1]} columns; "

@@ -12,8 +12,9 @@ from cyclopts import Parameter
 from hueflight.calibration import calibrate as calibrate_captures
 from hueflight.cli.choices import PRESETS
 from hueflight.cli.output import progress, show
+from hueflight.errors import CalibrationError
 from hueflight.files import refuse_existing
-from hueflight.importers.captures import read_capture
+from hueflight.importers.captures import Capture, read_capture
 from hueflight.importers.options import AXES
 from hueflight.model.instrument import Instrument
 from hueflight.progress import task
@@ -39,6 +40,7 @@ def calibrate(
     dataset: str | None = None,
     axes: str = AXES,
     channel: int | None = None,
+    ignore_notes: Annotated[bool, Parameter(negative=())] = False,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -79,6 +81,9 @@ def calibrate(
         an axis of length one. The names apply to every capture of this command.
     channel : int, optional
         Detection channel of .ptu files, counted from 0. By default the only one with photons.
+    ignore_notes : bool, default False
+        Calibrate although a recording states another kind of capture, or another distance, than the
+        options of this command do.
     overwrite : bool, default False
         Replace an existing calibration of that name.
     json : bool, default False
@@ -92,11 +97,15 @@ def calibrate(
     with task(shown, "reading", 1 + len(given)):
         chosen = None if instrument is None else Instrument.load(instrument)
         main = read_capture(reference, chosen, **options)
+        if not ignore_notes:
+            _require_agreement(reference, main, "reference", distance)
         shown.advance()
         others = {}
         for name, path in given.items():
             by_step = name == "bands"
             capture = read_capture(path, main.instrument, by_step=by_step, **options)
+            if not ignore_notes:
+                _require_agreement(path, capture, name, distance if by_step else None)
             others[name] = capture.counts
             shown.advance()
     known = None if reflectance is None else np.array(reflectance)
@@ -123,3 +132,13 @@ def calibrate(
         },
         json_wanted=json,
     )
+
+
+def _require_agreement(path: Path, capture: Capture, kind: str, distance: float | None) -> None:
+    """Refuse a recording that says of itself what contradicts the options."""
+    if found := capture.contradictions(kind=kind, distance=distance):
+        raise CalibrationError(
+            f"{path} is no {kind} capture as the options have it: {' and '.join(found)}. Name the "
+            "right recording and its distance, or give --ignore-notes if the recording's notes "
+            "are wrong"
+        )

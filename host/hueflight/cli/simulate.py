@@ -18,6 +18,7 @@ from hueflight.model.instrument import Instrument
 from hueflight.progress import task, tracked
 from hueflight.recording import RecordingWriter
 from hueflight.simulator import CaptureKind
+from hueflight.simulator.simulated_captures import WHITE_PLANE_M
 
 _LIGHT = simulator.SimulationSettings().white_detections
 
@@ -126,6 +127,8 @@ def simulate(
     shown = progress(json_wanted=json)
     result = {"instrument": described.name, "capture": capture, "frames": frames}
     metadata: dict[str, Any] = {"capture": capture, "scene": scene, "simulated": True}
+    if capture in ("reference", "bands"):
+        metadata["distance_m"] = WHITE_PLANE_M if distance is None else distance
     if rays != 1:
         metadata["rays"] = result["rays"] = rays
     if any(motion):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HistogramError, InputNotFoundError
 from hueflight.files import staged
+from hueflight.files.ages import age
 from hueflight.importers.arrays import arranged, read_array, read_array_counts
 from hueflight.importers.counts import read_counts
 from hueflight.importers.options import AXES, ReadOptions
@@ -21,6 +22,7 @@ from hueflight.ingest import IngestReport
 from hueflight.model.instrument import Instrument
 from hueflight.recording import open_recording
 
+SAME_DISTANCE_M = 1e-3  #: difference between stated distances that means nothing
 #: counters of an ingest report that mean a loss
 LOSSES = ("damaged", "missing", "dropped", "aborted", "foreign", "skipped_bytes", "clipped")
 
@@ -39,11 +41,50 @@ class Capture:
         What is missing from the counts, by kind; empty if nothing is. For recordings these are
         counters of `IngestReport`. For files of counts, ``outside_period`` is the number of
         counts in codes that lie beyond the period of the instrument.
+    notes : Mapping of str to str
+        What a recording states about itself: its kind as ``capture``, such as ``"reference"``, the
+        distance of the target as ``distance_m``, and others; empty for files of counts.
+    started : str or None
+        Time at which a recording started, ISO 8601 in UTC.
     """
 
     counts: NDArray[Any]
     instrument: Instrument
     losses: Mapping[str, int] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
+    started: str | None = None
+
+    def __repr__(self) -> str:
+        made = f", recorded {self.started} ({age(self.started)})" if self.started else ""
+        kind = self.notes.get("capture", "capture")
+        away = f" at {self.notes['distance_m']} m" if "distance_m" in self.notes else ""
+        return f"<{kind}{away} of {self.instrument.name!r}, {self.counts.shape}{made}>"
+
+    def contradictions(self, *, kind: str, distance: float | None = None) -> list[str]:
+        """Return where the notes of a recording contradict what is believed of it.
+
+        Parameters
+        ----------
+        kind : str
+            Kind of capture, such as ``"reference"``.
+        distance : float, optional
+            Distance of the target, m.
+
+        Returns
+        -------
+        list of str
+            Contradictions, as parts of a sentence; empty if the notes agree or say nothing.
+        """
+        found = []
+        if self.notes.get("capture", kind) != kind:
+            found.append(f"it was recorded as {self.notes['capture']!r}, not as {kind!r}")
+        try:
+            stated = float(self.notes.get("distance_m", "nan"))
+        except ValueError:
+            return found
+        if distance is not None and abs(stated - distance) > SAME_DISTANCE_M:
+            found.append(f"it states a distance of {stated:g} m, not {distance:g} m")
+        return found
 
 
 def read_capture(
@@ -101,14 +142,15 @@ def read_capture(
                     f"{path} was recorded by instrument {recording.instrument.name!r}, not "
                     f"{instrument.name!r}: {'; '.join(apart[:3])}"
                 )
+            about = recording.metadata, recording.info().started
             if not by_step:
                 counts, report = recording.accumulate()
-                return Capture(counts, recording.instrument, losses(report))
+                return Capture(counts, recording.instrument, losses(report), *about)
             by_number, report = recording.accumulate_by_step()
             if not by_number:
                 raise HistogramError(f"{path} has no frames: nothing was captured")
             stacked = np.stack(list(by_number.values()))
-            return Capture(stacked, recording.instrument, losses(report))
+            return Capture(stacked, recording.instrument, losses(report), *about)
     if not by_step:
         counts, chosen = read_counts(path, instrument, dataset=dataset, axes=axes, channel=channel)
         return Capture(counts, chosen, _outside_period(counts, chosen))

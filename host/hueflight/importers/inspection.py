@@ -16,6 +16,7 @@ from hueflight.calibration import Calibration
 from hueflight.calibration.store import FORMAT as CALIBRATION_FORMAT
 from hueflight.errors import FileFormatError, HueflightError, InputNotFoundError
 from hueflight.files import import_optional, verify_checksums
+from hueflight.files.ages import age
 from hueflight.files.image_schema import SERIES_DIM
 from hueflight.files.inspection import FileDescription
 from hueflight.importers.arrays import DESCRIPTIONS, description_in
@@ -243,6 +244,7 @@ def _describe_calibration(path: Path, attributes: dict[str, Any], check: bool) -
     facts = {
         "distance_m": attributes["distance_m"],
         "saved": attributes["saved"],
+        "age": age(attributes["provenance"].get("created", attributes["saved"])),
         "saved_by": attributes["saved_by"],
         **instrument_facts(instrument),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hueflight.files.ages import age
 from hueflight.files.inspection import FileDescription
 from hueflight.recording.reader import open_recording
 from hueflight.recording.recovery import Outcome, check_recording
@@ -32,6 +33,7 @@ def describe_recording(path: Path, *, check: bool = False) -> FileDescription:
     """
     with open_recording(path) as recording:
         facts = recording.info().as_dict()
+    facts["age"] = age(facts["started"])
     # that it was ended does not mean that its packets are intact
     facts["ended"] = facts.pop("complete")
     if not check:

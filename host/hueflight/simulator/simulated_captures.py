@@ -22,6 +22,8 @@ from hueflight_protocol import FrameFlags, encode_frame
 
 CaptureKind = Literal["scene", "reference", "bands", "dark", "flat"]
 
+WHITE_PLANE_M = 0.40  #: distance of the white plane, as in the paper
+
 CAPTURES: dict[CaptureKind, str] = {
     "scene": "all LEDs on a scene",
     "reference": "all LEDs on a white plane at a known distance",
@@ -52,7 +54,7 @@ def exposures(
     instrument: Instrument,
     *,
     scene: Scene | None = None,
-    distance: float = 0.40,
+    distance: float = WHITE_PLANE_M,
     settings: SimulationSettings | None = None,
 ) -> tuple[Exposure, ...]:
     """List the exposures that make up a capture: one, or one for each LED of kind ``"bands"``.
@@ -107,7 +109,7 @@ def simulate_capture(
     *,
     frames: int,
     scene: Scene | None = None,
-    distance: float = 0.40,
+    distance: float = WHITE_PLANE_M,
     settings: SimulationSettings | None = None,
     seed: int = 0,
 ) -> NDArray[np.unsignedinteger]:
@@ -168,7 +170,7 @@ def simulate_packets(
     *,
     frames: int,
     scene: Scene | None = None,
-    distance: float = 0.40,
+    distance: float = WHITE_PLANE_M,
     settings: SimulationSettings | None = None,
     seed: int = 0,
     capture: int = 0,

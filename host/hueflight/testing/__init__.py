@@ -2,7 +2,7 @@
 """What a rig, an importer and an exporter of another package must do, as classes of tests.
 
 A package inherits the class for what it adds, says in fixtures what is to be tested, and runs
-pytest. The page *Add a rig, a reader or a format* of the documentation has an example.
+pytest. The page *… add a rig, a reader or a format* of the documentation has an example.
 """
 
 from hueflight.files.optional import import_optional

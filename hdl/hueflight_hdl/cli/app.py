@@ -28,7 +28,7 @@ app = App(
     version=version("hueflight"),
     help_format="markdown",
 )
-_COMMANDS = ("build", "prove", "simulate", "verilog")
+_COMMANDS = ("build", "prove", "registers", "simulate", "verilog")
 errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command: help, refusals without tracebacks, projects for other toolchains."""
 
+import json
+
 import pytest
 from amaranth.hdl import Assert, Module
 from amaranth.lib import wiring
@@ -37,6 +39,9 @@ def test_help_names_every_command(capsys):
         (["build", "illuminator", "--board", "hx8k", "--accept-margin", "-5"], "-5"),
         (["verilog", "camera", "--board", "xem6310"], "not guessed"),
         (["verilog", "camera", "--board", "xem6310", "--pins", "none.toml"], "none.toml"),
+        (["registers", "radio"], "one of illuminator, camera"),
+        (["registers", "camera", "--format", "pdf"], "must be one of json, svd, c"),
+        (["registers", "camera", "--set", "channels=2"], "choose from rows, cols"),
         (["prove", "radio"], "one of illuminator, camera"),
         (["prove", "camera", "--only", "magic"], "camera-stable"),
         (["simulate", "radio"], "one of illuminator, camera"),
@@ -134,3 +139,17 @@ def test_simulations_write_a_waveform_and_packets(simulator, tmp_path, capsys):
     packets = list(parser.feed((tmp_path / "packets.bin").read_bytes()))
     assert sum(isinstance(packet.content, Frame) for packet in packets) == 3
     assert parser.report.damaged == 0
+
+
+def test_registers_are_written_for_the_sizes_that_were_chosen(tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(
+            ["registers", "illuminator", "--set", "channels=4", "--out", str(tmp_path / "map.json")]
+        )
+    assert not ended.value.code
+    entries = json.loads((tmp_path / "map.json").read_text())["registers"]
+    (limits,) = (entry for entry in entries if entry["name"] == "limit")
+    assert limits["count"] == [4]
+    with pytest.raises(SystemExit):
+        main(["registers", "camera", "--format", "svd"])
+    assert capsys.readouterr().out.startswith("<?xml")

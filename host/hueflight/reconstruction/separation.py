@@ -91,8 +91,12 @@ def with_both_depths(
     new_depth = np.where(found.mixed, found.near, estimates.depth)
     new_std = np.where(found.mixed, found.near_std, depth_std)
     reflectance, reflectance_std = estimates.reflectance, estimates.reflectance_std
+    white = estimates.white_photons
     if fitted.range_correction and edges.row.size:
         here = np.s_[:, edges.row, edges.col]
+        white = np.where(
+            found.mixed, fitted.white / relative_range(found.near, calibration) ** 2, white
+        )
         factor = relative_range(found.near, calibration)[found.mixed] ** 2
         reflectance, reflectance_std = reflectance.copy(), reflectance_std.copy()
         reflectance[here] = factor * signal[here]
@@ -106,6 +110,7 @@ def with_both_depths(
         depth_std=new_std,
         reflectance=reflectance,
         reflectance_std=reflectance_std,
+        white_photons=white,
         quality=quality,
         second_depth=found.far,
         second_depth_std=found.far_std,

@@ -262,10 +262,16 @@ def test_reconstruct_separates_two_colors_by_their_counts(with_lens, range_corre
         white = (image["white_photons"] * image["white_share"]).values[flagged]
         depth = image["depth" if color == "ink red" else "second_depth"].values[flagged][:, None]
         if range_correction:
-            light = light * depth**2 / (plain["depth"].values[flagged][:, None] ** 2)
+            light = light * (depth / image["depth"].values[flagged][:, None]) ** 2
         truth = light * instrument.band_brightness() / white
         z = (image[name].values[flagged] - truth) / image[f"{name}_std"].values[flagged]
         assert np.abs(np.median(z)) < 0.5
+    # counts, which intervals of reflectance rest on, stay what they were
+    photons, before = (
+        (one["reflectance"] * one["white_photons"] * one["white_share"]).values[flagged]
+        for one in (image, plain)
+    )
+    np.testing.assert_allclose(photons, before, rtol=1e-4, atol=1e-4)
     # the light that a pixel returns is corrected for the depth that is stated
     power = 2 if range_correction else 0
     ratio = (image["depth"].values / plain["depth"].values)[flagged] ** power

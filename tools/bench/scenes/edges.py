@@ -104,7 +104,8 @@ class Tally:
         """Add a picture whose pixels see surfaces at `depths`, two different ones if `mixed`."""
         depth = image["depth"].values
         std = image["depth_std"].values
-        mark = flagged(image, hf.Quality.MIXED, hf.Quality.MISFIT, hf.Quality.AMBIGUOUS)
+        told = hf.Quality.MIXED, hf.Quality.TWO_RETURNS, hf.Quality.MISFIT, hf.Quality.AMBIGUOUS
+        mark = flagged(image, *told)
         off = np.minimum(*(np.abs(depth - true) for true in depths))
         known = judged & np.isfinite(depth)
         here = known & mixed
@@ -122,8 +123,8 @@ class Tally:
             self.sums[name] += int(value.sum())
         if share is not None:
             found = image["near_share"].values
-            told = here & np.isfinite(found)
-            self.shares.append((found - share)[told])
+            known = here & np.isfinite(found)
+            self.shares.append((found - share)[known])
 
     def ratio(self, part: str, whole: str) -> float:
         """Return one count as a share of another."""

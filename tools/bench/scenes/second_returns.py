@@ -28,7 +28,7 @@ NEAR_SPACING_M = 0.3  #: about it, where the surfaces' pulses coincide and figur
 RANGE_M = (0.0, 8.0)
 PHOTONS = ((300, 300), (1500, 300), (300, 1500))
 PAIRS = (("white", "white"), ("green", "white"), ("red", "blue"))
-APART_M = (1.5, 2.0, 3.0, 6.0, 4.5)
+APART_M = (1.5, 2.0, 3.0, 4.0, 6.0, 4.5)
 WRONG_BOUNDS, WRONG_M = 4.0, 0.15  #: a pair is wrong if a depth is farther off than both
 
 Floats = NDArray[np.float64]

@@ -22,7 +22,8 @@ STEEPEST_DEGREES = 80.0  #: a single surface is tilted by no more than this
 EDGE_DEVIATIONS = 4.0  #: by which a step exceeds what a tilted surface changes
 OWN_DEVIATIONS = 2.0  #: of the pixel itself, than which a smaller step is not looked at
 LOOKED_AT = 0.8  #: share of the smallest step, from which the surfaces are estimated
-SIGNIFICANT = 2.2  #: standard deviations by which a mixed pixel differs from either surface
+BESIDE = 0.2  #: share of the step within which a pixel next to a mixed one is on a surface
+SIGNIFICANT = 2.0  #: standard deviations by which a mixed pixel differs from either surface
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Edges:
     near_std, far_std : ndarray of float, shape (pixel,)
         Standard deviations of these depths, m.
     between : ndarray of bool, shape (pixel,)
-        Whether the pixel's own depth lies between both and differs significantly from either.
+        Whether the pixel's own depth lies between both and differs significantly from either, and
+        both are next to it.
     """
 
     row: NDArray[np.intp]
@@ -108,13 +110,17 @@ def find_edges(
     between = (own - near > SIGNIFICANT * np.hypot(std, near_std)) & (
         far - own > SIGNIFICANT * np.hypot(std, far_std)
     )
+    margin = BESIDE * step
+    between &= _beside_both(planes[0], row, col, near + margin, far - margin)
     return Edges(row, col, near, far, near_std, far_std, between).take(edge)
 
 
 def neighbors(
     planes: NDArray[np.floating], row: NDArray[np.intp], col: NDArray[np.intp]
 ) -> NDArray[np.floating]:
-    """Return the values about some pixels, without their own.
+    """Return the values in the windows about some pixels, without their own.
+
+    At the border of the image, the window is moved inwards, so that it has as many pixels.
 
     Parameters
     ----------
@@ -126,15 +132,47 @@ def neighbors(
     Returns
     -------
     ndarray of float, shape (pixel, neighbor, plane)
-        Values of the neighbors; NaN outside the image.
+        Values of the neighbors; NaN where the image is smaller than the window.
     """
-    margin = WINDOW // 2
-    padding = ((margin, margin), (margin, margin), (0, 0))
-    padded = np.pad(planes, padding, constant_values=np.nan)
-    width = padded.shape[1]
-    down, right = np.divmod(np.delete(np.arange(WINDOW**2), WINDOW**2 // 2), WINDOW)
-    places = (row * width + col)[:, None] + (down * width + right)
-    return padded.reshape(-1, planes.shape[-1])[places]
+    whole = _at_least_a_window(planes, (0, 1))
+    width = whole.shape[1]
+    top, left = _window_corner(row, whole.shape[0]), _window_corner(col, width)
+    down, right = np.divmod(np.arange(WINDOW**2), WINDOW)
+    places = (top * width + left)[:, None] + (down * width + right)
+    others = places[places != (row * width + col)[:, None]].reshape(len(row), WINDOW**2 - 1)
+    return whole.reshape(-1, planes.shape[-1])[others]
+
+
+def _beside_both(
+    depth: NDArray[np.float64],
+    row: NDArray[np.intp],
+    col: NDArray[np.intp],
+    near: NDArray[np.float64],
+    far: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Whether of the eight pixels about each, one is nearer than `near` and one beyond `far`.
+
+    Pixels whose window reaches beyond an edge at a distance do not see it. A pixel that is not
+    known may be either.
+    """
+    padded = np.pad(depth, 1, constant_values=np.nan)
+    down, right = np.divmod(np.delete(np.arange(9), 4), 3)
+    beside = padded[row[:, None] + down, col[:, None] + right]
+    behind, before = (beside >= near[:, None]).all(axis=-1), (beside <= far[:, None]).all(axis=-1)
+    return ~(behind | before)
+
+
+def _window_corner(place: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    """First row or column of the windows about some places."""
+    return np.clip(place - WINDOW // 2, 0, size - WINDOW)
+
+
+def _at_least_a_window(planes: NDArray[np.floating], axes: tuple[int, int]) -> NDArray[np.floating]:
+    """Values of an image, with NaN appended where it is smaller than a window."""
+    missing = [(0, 0)] * planes.ndim
+    for axis in axes:
+        missing[axis] = (0, max(WINDOW - planes.shape[axis], 0))
+    return np.pad(planes, missing, constant_values=np.nan)
 
 
 def _starts(planes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -143,10 +181,7 @@ def _starts(planes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     It starts from the third smallest and the third largest depth, which one outlier does not
     change. Where fewer are known, the last of them is taken; inf and -inf where none is.
     """
-    margin = WINDOW // 2
-    padded = np.pad(planes.astype(np.float32), ((0, 0), (margin, margin), (margin, margin)),
-                    constant_values=np.nan)  # fmt: skip
-    depth, deviation = padded
+    depth, deviation = _at_least_a_window(planes.astype(np.float32), (1, 2))
     unknown = np.isnan(depth)
     values = np.where(unknown, np.float32(np.inf), depth)
     reach = np.where(unknown, np.float32(0), REACH * deviation)
@@ -154,24 +189,30 @@ def _starts(planes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     moments = weights * np.where(unknown, np.float32(0), depth)
     low, high = _third_smallest(values), -_third_smallest(np.where(unknown, np.inf, -depth))
     light = reach, weights, moments
-    return _shifted(values, *light, low), _shifted(values, *light, high)
+    rows, cols = planes.shape[1:]
+    near, far = (
+        # pixels at the border look at the nearest whole window
+        np.pad(_shifted(values, *light, start), WINDOW // 2, mode="edge")[:rows, :cols]
+        for start in (low, high)
+    )
+    return near, far
 
 
-def _views(padded: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
-    """Yield the neighbors of all pixels in one direction after another."""
-    rows, cols = (size - WINDOW + 1 for size in padded.shape)
+def _views(values: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
+    """Yield the neighbors of all pixels with a whole window, in one direction after another."""
+    rows, cols = (size - WINDOW + 1 for size in values.shape)
     for place in range(WINDOW**2):
         if place != WINDOW**2 // 2:
             down, right = divmod(place, WINDOW)
-            yield padded[down : down + rows, right : right + cols]
+            yield values[down : down + rows, right : right + cols]
 
 
-def _third_smallest(padded: NDArray[np.float32]) -> NDArray[np.float32]:
-    shape = tuple(size - WINDOW + 1 for size in padded.shape)
+def _third_smallest(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    shape = tuple(size - WINDOW + 1 for size in values.shape)
     first = np.full(shape, np.inf, np.float32)
     second, third = first.copy(), first.copy()
     larger = np.empty(shape, np.float32)
-    for value in _views(padded):
+    for value in _views(values):
         np.minimum(third, np.maximum(second, value, out=larger), out=third)
         np.minimum(second, np.maximum(first, value, out=larger), out=second)
         np.minimum(first, value, out=first)

@@ -301,7 +301,36 @@ def test_a_part_of_the_picture_and_methods_that_find_none(with_lens, calibrated)
         hf.reconstruct(counts, calibration, mixed=True)
 
 
-def test_neighbors_at_the_border_are_unknown():
+def test_the_window_of_a_pixel_at_the_border_is_moved_inwards():
+    values = np.arange(42.0).reshape(6, 7, 1)
+    about = neighbors(values, np.array([0, 3, 5]), np.array([6, 3, 0]))[..., 0]
+    grid = values[..., 0]
+    for found, window, own in zip(
+        about, (grid[:5, 2:], grid[1:6, 1:6], grid[1:, :5]), (6.0, 24.0, 35.0), strict=True
+    ):
+        assert sorted(found) == sorted(set(window.ravel()) - {own})
+
+
+def test_neighbors_beyond_a_small_image_are_unknown():
     values = np.arange(12.0).reshape(3, 4, 1)
     about = neighbors(values, np.array([0]), np.array([3]))[0, :, 0]
-    assert sorted(about[np.isfinite(about)]) == [1, 2, 5, 6, 7, 9, 10, 11]
+    assert sorted(about[np.isfinite(about)]) == [*range(3), *range(4, 12)]
+
+
+def test_edges_at_the_border_of_the_image_are_seen():
+    # a window of three columns about the first one would not reach the far surface
+    depth = np.full((9, 9), 2.0)
+    depth[:, 0] = 1.5
+    depth[:, 1:3] = 1.0
+    mixed = find_mixed(depth, np.full((9, 9), 0.02), 0.002).mixed
+    assert np.nonzero(mixed.all(axis=0))[0].tolist() == [0]
+
+
+def test_a_pixel_that_strays_beside_no_edge_is_not_mixed():
+    depth = np.full((9, 9), 1.0)
+    depth[:, 6:] = 2.0
+    std = np.full((9, 9), 0.02)
+    depth[4, 4] = 1.1  # two columns away from the edge
+    assert not find_mixed(depth, std, 0.002).mixed.any()
+    depth[4, 5] = 1.1  # next to it
+    assert np.argwhere(find_mixed(depth, std, 0.002).mixed).tolist() == [[4, 5]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from hueflight.simulator.effects.settings import Effects
 
@@ -25,15 +25,15 @@ class NamedEffect:
         Settings with a typical strength.
     layout : mapping of str to Any
         Options of `simulator.scene` with a typical strength, for effects of the scene's geometry.
-    changes_instrument : bool
-        Whether the instrument changes after its calibration. Otherwise a calibration of the same
-        instrument has the effect too, as far as it belongs to the instrument.
+    belongs_to : {"scene", "day", "instrument"}
+        Which captures have it: ``"scene"``, those of the scene; ``"day"``, those that are made
+        after the calibration; ``"instrument"``, those of the calibration too.
     """
 
     description: str
     typical: Effects = field(default_factory=Effects)
     layout: Mapping[str, Any] = field(default_factory=dict)
-    changes_instrument: bool = False
+    belongs_to: Literal["scene", "day", "instrument"] = "scene"
 
 
 EFFECTS: dict[str, NamedEffect] = {
@@ -53,29 +53,33 @@ EFFECTS: dict[str, NamedEffect] = {
     ),
     "flare": NamedEffect("light that the lens scatters", Effects(flare_share=0.1)),
     "reflection": NamedEffect(
-        "fixed reflection, as of a cover glass", Effects(reflection=0.2, reflection_delay_ns=0.5)
+        "fixed reflection, as of a cover glass",
+        Effects(reflection=0.2, reflection_delay_ns=0.5),
+        belongs_to="instrument",
     ),
     "background ramp": NamedEffect("ambient light rises", Effects(background_ramp=0.5)),
     "background decay": NamedEffect("ambient light decays", Effects(background_decay_share=0.5)),
     "delay drift": NamedEffect(
         "LEDs fire later or earlier",
         Effects(delay_drift_ps=(-40.0, 150.0, 130.0, -120.0, -90.0, -120.0, 40.0, -40.0, 90.0)),
-        changes_instrument=True,
+        belongs_to="day",
     ),
     "width drift": NamedEffect(
-        "pulses last longer", Effects(pulse_width_factor=1.05), changes_instrument=True
+        "pulses last longer", Effects(pulse_width_factor=1.05), belongs_to="day"
     ),
     "warming": NamedEffect(
-        "LEDs are warmer than at their calibration", Effects(warming=20.0), changes_instrument=True
+        "LEDs are warmer than at their calibration", Effects(warming=20.0), belongs_to="day"
     ),
     "bin widths": NamedEffect(
-        "widths of time bins drift", Effects(bin_width_drift=0.02), changes_instrument=True
+        "widths of time bins drift", Effects(bin_width_drift=0.02), belongs_to="day"
     ),
-    "hot pixels": NamedEffect(
-        "pixels turn hot", Effects(new_hot_share=0.01), changes_instrument=True
+    "hot pixels": NamedEffect("pixels turn hot", Effects(new_hot_share=0.01), belongs_to="day"),
+    "crosstalk": NamedEffect(
+        "neighbors set off avalanches", Effects(crosstalk_share=0.01), belongs_to="instrument"
     ),
-    "crosstalk": NamedEffect("neighbors set off avalanches", Effects(crosstalk_share=0.01)),
     "afterpulses": NamedEffect(
-        "avalanches set off by those of the exposure before", Effects(afterpulse_share=0.02)
+        "avalanches set off by those of the exposure before",
+        Effects(afterpulse_share=0.02),
+        belongs_to="instrument",
     ),
 }

@@ -16,12 +16,14 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
+
+import hueflight as hf
+from hueflight.simulator import simulate_capture
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 LONGEST_S = 400  #: then all is given up
@@ -29,7 +31,6 @@ PATIENCE_S = 90.0
 CONFIG = """
 data = "{data}"
 simulate = true
-picture_frames = 2400
 [server]
 port = 0
 """
@@ -38,6 +39,7 @@ FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disa
 SHOTS = (
     ("daemon-depth", "1", "dark", (1366, 900), ("ArrowRight", "Shift+ArrowUp")),
     ("daemon-bands", "3", "light", (1366, 900), ("Shift+ArrowDown", "Shift+ArrowRight")),
+    ("daemon-points", "4", "dark", (1366, 900), ()),
     ("daemon-phone", "2", "light", (390, 844), ("ArrowRight",)),
 )
 
@@ -66,25 +68,13 @@ def daemon(folder: Path) -> Iterator[str]:
         process.wait(30)
 
 
-def ask(url: str, body: object = None) -> Any:
-    """Answer to a request, a POST if there is a body."""
-    data = None if body is None else json.dumps(body).encode()
-    request = urllib.request.Request(url, data, {"content-type": "application/json"})
-    with urllib.request.urlopen(request, timeout=30) as answer:
-        return json.loads(answer.read())
-
-
-def calibrate(url: str) -> None:
-    """Have the daemon calibrate, and wait until pictures are of enough frames."""
-    ask(url + "/api/calibration", {"distance": 0.4, "frames": 4000, "bands": False, "dark": False})
-    deadline = time.monotonic() + PATIENCE_S
-    while ask(url + "/api/status")["calibration"]["step"] not in ("done", "failed"):
-        if time.monotonic() > deadline:
-            raise SystemExit("the calibration took too long")
-        time.sleep(0.5)
-    found = ask(url + "/api/status")["calibration"]
-    if found["step"] == "failed":
-        raise SystemExit(f"no calibration: {found['message']}")
+def calibrate(folder: Path) -> None:
+    """Put a calibration into the folder of a daemon's data."""
+    instrument = hf.Instrument.load("paper")
+    reference = simulate_capture("reference", instrument, frames=40_000, seed=5)
+    kept = folder / "data" / "calibrations" / "20260101T000000Z"
+    kept.mkdir(parents=True)
+    hf.calibrate(reference, instrument, distance=0.4).save(kept / "calibration.zarr")
 
 
 def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
@@ -100,10 +90,11 @@ def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
     page.keyboard.press(key)
     for pressed in keys:
         page.keyboard.press(pressed)
-    page.wait_for_function(
-        "() => document.querySelector('#pixel-note').textContent.includes('photons in')"
-    )
-    page.wait_for_timeout(7000)  # until the window of frames is full and the figures are steady
+    if keys:
+        page.wait_for_function(
+            "() => document.querySelector('#pixel-note').textContent.includes('photons in')"
+        )
+    page.wait_for_timeout(15_000)  # photons add up
     page.screenshot(path=IMAGES / f"{name}.png", timeout=PATIENCE_S * 1e3)
     context.close()
 
@@ -115,12 +106,14 @@ def main() -> None:
     signal.signal(signal.SIGALRM, lambda *_: sys.exit(f"still not done after {LONGEST_S} s"))
     signal.alarm(LONGEST_S)
     wanted = sys.argv[1:]
-    with (
-        tempfile.TemporaryDirectory(prefix="hueflight-shots-") as folder,
-        daemon(Path(folder)) as url,
-        sync_playwright() as playwright,
-    ):
-        calibrate(url)
+    with tempfile.TemporaryDirectory(prefix="hueflight-shots-") as folder:
+        calibrate(Path(folder))
+        shoot(Path(folder), wanted, chromium)
+
+
+def shoot(folder: Path, wanted: list[str], chromium: str) -> None:
+    """Take the pictures that are wanted of a daemon with its data in a folder."""
+    with daemon(folder) as url, sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=chromium, args=FLAGS, timeout=PATIENCE_S * 1e3
         )

@@ -4,7 +4,7 @@
 import { Textures, context, fit, program } from "./gl.js";
 
 const VERTEX = `
-uniform highp usampler2D depth, quality;
+uniform highp usampler2D depth, depth_std, quality;
 uniform highp sampler2DArray bands;
 uniform sampler2D colours;
 uniform bool three;         // three bands as red, green and blue
@@ -15,11 +15,14 @@ uniform vec2 slopes;        // metres right and down per metre of depth, at the 
 uniform float middle;       // depth that the view turns about
 uniform mat4 camera;
 uniform float dot;
+uniform float limit;        // greatest standard deviation of depth, in units of its plane; 0 for any
+uniform uint flags;         // bits of quality of pixels that are left out
 out vec3 shade;
 void main() {
   ivec2 at = ivec2(gl_VertexID % size.x, gl_VertexID / size.x);
   uint value = texelFetch(depth, at, 0).r;
-  if (value == 65535u) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); gl_PointSize = 0.0; return; }
+  bool vague = limit > 0.0 && float(texelFetch(depth_std, at, 0).r) > limit;
+  if (value == 65535u || vague || (texelFetch(quality, at, 0).r & flags) != 0u) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); gl_PointSize = 0.0; return; }
   float z = float(value) * unit;
   vec2 side = (vec2(at) / vec2(max(size - 1, 1)) * 2.0 - 1.0) * slopes * z;
   gl_Position = camera * vec4(side.x, -side.y, middle - z, 1.0);
@@ -66,8 +69,9 @@ export class Cloud {
     this.away = Math.max(0.25, Math.min(4, this.away * factor));
   }
 
-  draw({ rgb, three, range, slopes }) {
+  draw({ rgb, three, range, slopes, limit, flags }) {
     fit(this.canvas);
+    this.camera = null;
     const { gl, canvas, picture } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0.05, 0.06, 0.07, 1);
@@ -79,6 +83,8 @@ export class Cloud {
     gl.useProgram(this.program.made);
     this.textures.use(this.program);
     const { uniforms } = this.program;
+    gl.uniform1f(uniforms.limit, limit / picture.depth_std_scale);
+    gl.uniform1ui(uniforms.flags, flags);
     gl.uniform3i(uniforms.rgb, ...rgb);
     gl.uniform1i(uniforms.three, three ? 1 : 0);
     gl.uniform2i(uniforms.size, picture.cols, picture.rows);
@@ -87,7 +93,8 @@ export class Cloud {
     gl.uniform1f(uniforms.middle, middle);
     const height = Math.max(Math.abs(slopes[1]), 0.05) * middle * 1.15;
     const aspect = canvas.width / canvas.height;
-    gl.uniformMatrix4fv(uniforms.camera, false, look(this, middle, height, aspect));
+    this.camera = { matrix: look(this, middle, height, aspect), middle };
+    gl.uniformMatrix4fv(uniforms.camera, false, this.camera.matrix);
     gl.uniform1f(uniforms.dot, (1.7 * canvas.height) / picture.rows / this.away);
     gl.drawArrays(gl.POINTS, 0, picture.rows * picture.cols);
   }

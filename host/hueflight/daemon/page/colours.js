@@ -3,11 +3,24 @@
 
 import { COLORMAP } from "./colormap.js"; // made by the daemon from its own colour map
 
-/** The colour map as 256 RGBA colours. */
-export function colourMap() {
-  const bytes = COLORMAP.match(/../g).map((digits) => parseInt(digits, 16));
+const VIRIDIS = COLORMAP.match(/../g).map((digits) => parseInt(digits, 16));
+
+// colours (red, green, blue) of each map at a place from 0 to 255
+const MAPS = {
+  viridis: (i) => VIRIDIS.slice(3 * i, 3 * i + 3),
+  "viridis, reversed": (i) => VIRIDIS.slice(3 * (255 - i), 3 * (255 - i) + 3),
+  gray: (i) => [i, i, i],
+  "gray, reversed": (i) => [255 - i, 255 - i, 255 - i],
+  // brightness rises through each of eight stripes, which shows small steps
+  stripes: (i) => VIRIDIS.slice(3 * i, 3 * i + 3).map((v) => Math.round(v * (0.45 + (0.55 * ((8 * i) % 256)) / 255))),
+};
+
+export const MAP_NAMES = Object.keys(MAPS);
+
+/** A colour map as 256 RGBA colours. */
+export function colourMap(name = "viridis") {
   const out = new Uint8Array(256 * 4).fill(255);
-  for (let i = 0; i < 256; i++) out.set(bytes.slice(3 * i, 3 * i + 3), 4 * i);
+  for (let i = 0; i < 256; i++) out.set(MAPS[name](i), 4 * i);
   return out;
 }
 

@@ -1,23 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Commands of the user: start, stop, record, calibrate, light or dark; and short messages.
+// Commands of the user: start, stop, record, calibrate, freeze, measure, light or dark.
 
 import { $ } from "./dom.js";
+import { openHelp } from "./help.js";
 import { ask } from "./link.js";
+import { chooseTool } from "./measure.js";
+import { showMessage } from "./messages.js";
 import { showPixel } from "./pixel.js";
-import { state } from "./state.js";
+import { openRecordDialog } from "./record.js";
+import { openRecordings } from "./recordings.js";
+import { redraw, state } from "./state.js";
 
-const MESSAGE_MS = 5000;
 const THEME_KEY = "hueflight-theme";
-let messageTimer = 0;
-
-/** Show a message for some seconds. */
-export function showMessage(text) {
-  const message = $("message");
-  message.textContent = text;
-  message.hidden = false;
-  clearTimeout(messageTimer);
-  messageTimer = setTimeout(() => { message.hidden = true; }, MESSAGE_MS);
-}
 
 async function send(path, body) {
   try {
@@ -32,12 +26,28 @@ const isCalibrating = () => Boolean(state.status?.calibration.progress);
 
 /** Commands by the id of their button. */
 export const commands = {
-  run: () => send(state.status?.state === "idle" ? "/api/start" : "/api/stop"),
-  record: async () => {
+  run: () => {
     const recording = state.status?.recording.name;
-    const answer = await (recording ? send("/api/recordings/stop") : send("/api/recordings", {}));
-    if (answer) showMessage(recording ? `Ending recording ${answer.name}.` : `Recording ${answer.name}.`);
+    if (recording && !confirm(`The recording ${recording} is in progress. End it and stop?`)) return null;
+    return send(state.status?.state === "idle" ? "/api/start" : "/api/stop");
   },
+  record: async () => {
+    if (!state.status?.recording.name) {
+      openRecordDialog();
+      return;
+    }
+    const answer = await send("/api/recordings/stop");
+    if (answer) showMessage(`Ending recording ${answer.name}.`);
+  },
+  recordings: openRecordings,
+  help: openHelp,
+  freeze: () => {
+    state.frozen = !state.frozen;
+    $("freeze").setAttribute("aria-pressed", String(state.frozen));
+    redraw();
+  },
+  "region-tool": () => chooseTool("region"),
+  "distance-tool": () => chooseTool("distance"),
   calibrate: async () => {
     if (!isCalibrating()) $("calibrate-dialog").showModal();
     else if (confirm("Cancel the calibration? The earlier one stays in use.")) {

@@ -4,11 +4,17 @@
 import { beginCalibration, commands } from "./commands.js";
 import { $, tabs } from "./dom.js";
 import { choosePixel } from "./pixel.js";
-import { Plane } from "./plane.js";
-import { isCalibrated, redraw, state } from "./state.js";
+import { addEnd, spanRegion } from "./measure.js";
+import { pixelAt } from "./places.js";
+import { save } from "./save.js";
+import { redraw, state } from "./state.js";
 import { chooseView, resetCloud, turnCloud, zoomCloud } from "./views.js";
 
 const VIEW_KEYS = { 1: "depth", 2: "colour", 3: "bands", 4: "points", 5: "photons" };
+const COMMAND_KEYS = {
+  r: "record", l: "recordings", c: "calibrate", t: "theme", f: "freeze", g: "region-tool",
+  d: "distance-tool", "?": "help",
+};
 const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
 
 /** Listen to all input. */
@@ -23,21 +29,25 @@ export function listenToInput() {
   });
   $("calibrate-cancel").addEventListener("click", () => $("calibrate-dialog").close("cancel"));
   $("three").addEventListener("change", redraw);
+  $("reset-points").addEventListener("click", resetCloud);
+  $("save").addEventListener("change", () => {
+    save($("save").value);
+    $("save").value = "";
+  });
   document.addEventListener("keydown", onKey);
   listenToPointer($("view"));
 }
 
 function onKey(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || $("calibrate-dialog").open) return;
-  const typing = event.target.matches("input, select, textarea");
+  if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
+  const typing = event.target.matches("input:not([type=checkbox]), select, textarea");
   if (typing) return;
-  const onButton = event.target.matches("button, summary, a");
+  const onButton = event.target.matches("button, summary, a, [type=checkbox]");
   const { key } = event;
   if (VIEW_KEYS[key]) chooseView(VIEW_KEYS[key]);
   else if (key === " " && !onButton) commands.run();
-  else if (key === "r") commands.record();
-  else if (key === "c") commands.calibrate();
-  else if (key === "t") commands.theme();
+  else if (COMMAND_KEYS[key]) commands[COMMAND_KEYS[key]]();
+  else if (key === "s") save("png");
   else if (ARROWS[key] && !onButton && state.instrument) onArrow(ARROWS[key], event.shiftKey ? 8 : 1);
   else if ("+-0".includes(key) && state.view === "points") onZoomKey(key);
   else return;
@@ -70,40 +80,30 @@ function onTabKey(event) {
   event.stopPropagation();
 }
 
-/** Row and column under the pointer; null between the tiles of the bands. */
-function pixelAt(event) {
-  const box = $("view").getBoundingClientRect();
-  let x = (event.clientX - box.left) / box.width;
-  let y = (event.clientY - box.top) / box.height;
-  const { rows, cols, bands } = state.instrument;
-  if (state.view === "bands" && isCalibrated()) {
-    const tile = Plane.tiles(bands.length).find(([tx, ty, w, h]) => x >= tx && x < tx + w && y >= ty && y < ty + h);
-    if (!tile) return null;
-    x = (x - tile[0]) / tile[2];
-    y = (y - tile[1]) / tile[3];
-  }
-  return [Math.floor(y * rows), Math.floor(x * cols)];
-}
-
-function choosePixelAt(event) {
-  if (state.view === "points" || !state.instrument) return;
+/** What a press or a drag over the picture does; `begun` is where it began. */
+function useTool(event, begun) {
   const place = pixelAt(event);
-  if (place) choosePixel(...place);
+  if (!place) return;
+  if (state.tool === "region" && begun) spanRegion(begun, place);
+  else if (state.tool === "distance" && event.type === "pointerdown") addEnd(place);
+  else if (!state.tool) choosePixel(...place);
 }
 
 function listenToPointer(view) {
   const pointers = new Map(); // position of each finger or button that is down
+  let begun = null; // pixel where a drag began
   view.addEventListener("pointerdown", (event) => {
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
     view.setPointerCapture(event.pointerId);
-    choosePixelAt(event);
+    begun = pixelAt(event);
+    useTool(event, begun);
   });
   view.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const others = [...pointers].filter(([id]) => id !== event.pointerId);
     if (state.view !== "points") {
-      choosePixelAt(event);
+      useTool(event, begun);
     } else if (others.length) {
       const [ox, oy] = others[0][1];
       const old = Math.hypot(before[0] - ox, before[1] - oy);

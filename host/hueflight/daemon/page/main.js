@@ -1,13 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // The live page: starts its parts, and passes on what the daemon sends.
 
-import { restoreTheme, showButtons, showMessage } from "./commands.js";
+import { offerFlags } from "./certainty.js";
+import { restoreTheme, showButtons } from "./commands.js";
 import { $ } from "./dom.js";
 import { showFacts, showState } from "./facts.js";
+import { showFailure, startFailures } from "./failures.js";
+import { showGathering, startGathering } from "./gathering.js";
+import { startHelp } from "./help.js";
 import { listenToInput } from "./input.js";
 import { ask, live } from "./link.js";
 import { decodePicture } from "./message.js";
+import { showMessage } from "./messages.js";
 import { refreshPixel, showPixel } from "./pixel.js";
+import { startRecordDialog } from "./record.js";
+import { startRecordings } from "./recordings.js";
+import { drawSeries } from "./series.js";
 import { redraw, state } from "./state.js";
 import { chooseView, showPicture, startViews } from "./views.js";
 
@@ -22,7 +30,9 @@ function onStatus(status) {
   showState(status, state.connected);
   showFacts(status);
   showButtons();
-  const mark = status.problem ? "⚠ " : status.recording.name ? "● " : "";
+  showGathering(status);
+  const failed = showFailure(status.recording.last);
+  const mark = status.problem || failed ? "⚠ " : status.recording.name ? "● " : "";
   document.title = `${mark}${status.name} – ${$("state").textContent}`;
   $("name").textContent = status.name;
 }
@@ -47,6 +57,7 @@ async function loadInstrument() {
   const { rows, cols, pixel_aspect, guidance } = state.instrument;
   $("view").style.aspectRatio = `${cols} / ${rows * pixel_aspect}`;
   $("guidance").textContent = guidance.reference;
+  offerFlags(state.instrument.flags);
   showPixel();
   chooseView(state.view);
 }
@@ -60,10 +71,13 @@ function begin() {
     $("problem").hidden = false;
     return;
   }
-  listenToInput();
+  for (const start of [
+    listenToInput, startGathering, startRecordDialog, startRecordings, startHelp, startFailures,
+  ]) start();
   new ResizeObserver(() => {
     redraw();
     showPixel();
+    drawSeries();
   }).observe($("view"));
   live({ onPicture, onStatus, onOpen, onClose });
 }

@@ -7,7 +7,7 @@ import { fit } from "./gl.js";
 const LEFT = 44, BOTTOM = 30, TOP = 8, RIGHT = 10;
 
 /** Round steps for about `count` ticks. */
-function ticks(low, high, count) {
+export function ticks(low, high, count) {
   const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= rough);
@@ -17,7 +17,8 @@ function ticks(low, high, count) {
   return found.map((v) => [v, v.toFixed(digits)]);
 }
 
-function frame(canvas, [xLow, xHigh], [yLow, yHigh], xTitle, yTitle) {
+/** Axes with round ticks; returns what is needed to draw into them. */
+export function plotFrame(canvas, [xLow, xHigh], [yLow, yHigh], xTitle, yTitle) {
   fit(canvas);
   const scale = window.devicePixelRatio || 1;
   const c = canvas.getContext("2d");
@@ -59,7 +60,7 @@ export function drawHistogram(canvas, pixel, bands) {
   const usual = [...widths].sort((a, b) => a - b)[widths.length >> 1] ?? 1;
   const heights = counts.map((count, i) => (count * usual) / widths[i]);
   const top = Math.max(4, ...counts) * 1.1;
-  const { c, x, y, colour, bottom } = frame(canvas, span, [0, top], "ns", "photons per code");
+  const { c, x, y, colour, bottom } = plotFrame(canvas, span, [0, top], "ns", "photons per code");
   const length = span[1] - span[0];
   for (const { band, start_ns, stop_ns } of pixel?.windows ?? []) {
     c.fillStyle = wavelengthCss(bands[band].wavelength_nm, 0.26);
@@ -92,7 +93,7 @@ export function drawSpectrum(canvas, pixel, bands) {
   const span = nm.length ? [Math.min(...nm) - 15, Math.max(...nm) + 15] : [400, 700];
   const high = Math.max(0.1, ...tops) * 1.12;
   const low = Math.min(0, ...known.map((v) => v.reflectance - (v.reflectance_std ?? 0)));
-  const { c, x, y, colour } = frame(canvas, span, [low, high], "nm", "reflectance");
+  const { c, x, y, colour } = plotFrame(canvas, span, [low, high], "nm", "reflectance");
   c.strokeStyle = colour("--soft");
   c.beginPath();
   known.forEach((v, i) => (i ? c.lineTo(x(v.nm), y(v.reflectance)) : c.moveTo(x(v.nm), y(v.reflectance))));

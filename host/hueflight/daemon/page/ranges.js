@@ -1,25 +1,35 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ranges of the colour scales, which follow the pictures slowly.
+// Ranges of the colour scales: they follow the pictures slowly, unless they are locked.
 
 import { $ } from "./dom.js";
 import { state } from "./state.js";
+import { brightnessOf, depthOf } from "./values.js";
 
-const UNKNOWN = 65535;
+const SAMPLES = 4096;
 const ranges = {};
+const samples = {}; // sorted known values of each view
 
-/** Third and 97th percentile of a plane's known values. */
-function percentiles(values) {
-  const sample = [];
-  const step = Math.max(1, Math.floor(values.length / 4096));
-  for (let i = 0; i < values.length; i += step) if (values[i] !== UNKNOWN) sample.push(values[i]);
-  if (sample.length < 2) return [0, 1];
-  sample.sort((a, b) => a - b);
-  const low = sample[Math.floor(0.03 * sample.length)];
-  const high = sample[Math.floor(0.97 * (sample.length - 1))];
-  return [low, Math.max(high, low + 1)];
+/** Views that have a colour scale: unit, decimals, and the value of a pixel. */
+export const SCALES = {
+  depth: { unit: "m", digits: 3, value: depthOf },
+  photons: { unit: "photons per frame", digits: 4, value: brightnessOf },
+};
+
+function sample(picture, value) {
+  const count = picture.rows * picture.cols;
+  const step = Math.max(1, Math.floor(count / SAMPLES));
+  const found = [];
+  for (let i = 0; i < count; i += step) {
+    const v = value(picture, i);
+    if (Number.isFinite(v)) found.push(v);
+  }
+  return found.sort((a, b) => a - b);
 }
 
-function follow(name, [low, high]) {
+function follow(name, sorted) {
+  if (sorted.length < 2) return;
+  const low = sorted[Math.floor(0.03 * sorted.length)];
+  const high = Math.max(sorted[Math.floor(0.97 * (sorted.length - 1))], low + 1e-4);
   const before = ranges[name];
   if (before && $("lock").checked) return;
   const jump = !before || Math.abs(high - before[1]) > 0.5 * (before[1] - before[0]);
@@ -29,14 +39,24 @@ function follow(name, [low, high]) {
 }
 
 /** Adapt the ranges to a picture, unless they are locked. */
-export function updateRanges({ planes, depth_scale: scale }) {
-  if (planes.depth) follow("depth", percentiles(planes.depth).map((v) => v * scale));
-  follow("photons", percentiles(planes.photons));
+export function updateRanges(picture) {
+  for (const [name, { value }] of Object.entries(SCALES)) {
+    if (name === "depth" && !picture.planes.depth) continue;
+    samples[name] = sample(picture, value);
+    follow(name, samples[name]);
+  }
 }
 
-/** Range of a view, in metres of depth or in photons. */
+/** Range of a view, in metres of depth or in photons per frame. */
 export function rangeOf(view) {
   return ranges[view] ?? [0, 1];
+}
+
+/** Choose the range of a view by hand, which locks it. */
+export function setRange(view, low, high) {
+  if (!(high > low)) return;
+  ranges[view] = [low, high];
+  $("lock").checked = true;
 }
 
 /** Range of a view in the units of its plane; of views without a scale, that of depth. */
@@ -44,4 +64,14 @@ export function planeRange(view) {
   if (view === "photons") return rangeOf("photons");
   const scale = state.picture?.depth_scale ?? 1;
   return rangeOf("depth").map((v) => v / scale);
+}
+
+/** Pixels in each of `bins` classes between the ends of a view's values, and these ends. */
+export function histogramOf(view, bins) {
+  const sorted = samples[view] ?? [];
+  if (sorted.length < 2) return null;
+  const [low, high] = [sorted[0], sorted.at(-1)];
+  const counts = new Array(bins).fill(0);
+  for (const v of sorted) counts[Math.min(bins - 1, Math.floor(((v - low) / (high - low || 1)) * bins))]++;
+  return { low, high, counts };
 }

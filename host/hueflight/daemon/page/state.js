@@ -10,6 +10,10 @@ export const state = {
   arrivedMs: null, // when it arrived
   pixel: null, // [row, col] of the chosen pixel
   pixelFacts: null, // latest numbers of that pixel
+  frozen: false, // whether the picture stays as it is
+  tool: "", // what a drag or click on the picture measures: "region", "distance" or nothing
+  region: null, // [row, col, rows, cols] of the region that is measured
+  ends: [], // up to two pixels [row, col] whose distance is measured
   drawn: false, // whether the screen shows this state
 };
 

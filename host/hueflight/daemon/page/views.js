@@ -1,12 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // The views of a picture: which one is chosen, drawing it, and what stands around it.
 
+import { drawAxes } from "./axes.js";
+import { chosenFlags, depthLimit, fadeLimit, startCertainty } from "./certainty.js";
 import { Cloud } from "./cloud.js";
-import { colourMap, rgbBands } from "./colours.js";
+import { rgbBands } from "./colours.js";
 import { $, tabs } from "./dom.js";
+import { showHover, startHover } from "./hover.js";
+import { placeMeasurements, showMeasurements } from "./measure.js";
 import { showCursor } from "./pixel.js";
 import { Plane } from "./plane.js";
 import { planeRange, rangeOf, updateRanges } from "./ranges.js";
+import { isLogarithmic, showScale, startScale } from "./scale.js";
+import { addToSeries, drawSeries } from "./series.js";
 import { isCalibrated, redraw, state } from "./state.js";
 
 let plane, cloud;
@@ -16,7 +22,10 @@ let answerShown = null; // tells the daemon that the latest picture is on the sc
 export function startViews() {
   plane = new Plane($("plane"));
   cloud = new Cloud($("cloud"));
-  paintBar();
+  startScale((name) => plane.chooseMap(name));
+  startCertainty();
+  startHover();
+  $("series-of").addEventListener("change", drawSeries);
   requestAnimationFrame(draw);
 }
 
@@ -25,7 +34,7 @@ export function chooseView(view) {
   state.view = view;
   for (const tab of tabs()) tab.setAttribute("aria-selected", String(tab.dataset.view === view));
   $("plane").hidden = view === "points";
-  $("cloud").hidden = view !== "points";
+  for (const id of ["cloud", "axes", "reset-points"]) $(id).hidden = view !== "points";
   if (state.picture) chosenCanvas().show(state.picture);
   labelBands();
   redraw();
@@ -33,11 +42,16 @@ export function chooseView(view) {
 
 /** Take a new picture; `shown` is called when it is on the screen. */
 export function showPicture(picture, shown) {
-  state.picture = picture;
-  state.arrivedMs = performance.now();
-  updateRanges(picture);
-  chosenCanvas().show(picture);
   answerShown = shown;
+  if (!state.frozen) {
+    state.picture = picture;
+    state.arrivedMs = performance.now();
+    updateRanges(picture);
+    chosenCanvas().show(picture);
+    addToSeries(picture, showMeasurements());
+    drawSeries();
+    showHover();
+  }
   redraw();
 }
 
@@ -75,14 +89,25 @@ function draw() {
   const view = calibrated ? state.view : "photons";
   const canvas = view === "points" ? cloud : plane;
   if (canvas === cloud) {
-    cloud.draw({ rgb, three, range: planeRange("depth"), slopes: [slope_right, slope_down] });
+    const limit = Number.isFinite(depthLimit()) ? depthLimit() : 0;
+    cloud.draw({
+      rgb, three, range: planeRange("depth"), slopes: [slope_right, slope_down], limit, flags: chosenFlags(),
+    });
+    const [near, far] = rangeOf("depth");
+    const across = [slope_right, slope_down].map((slope) => 0.8 * Math.abs(slope) * near);
+    drawAxes($("axes"), cloud.camera, [...across.map((v) => [-v, v]), [near, far]]);
   } else {
-    plane.draw({ view, bands, rgb, three, range: planeRange(view) });
+    plane.draw({
+      view, bands, rgb, three, range: planeRange(view), logarithmic: isLogarithmic(), limit: fadeLimit(),
+      flags: chosenFlags(),
+    });
   }
   $("hint").hidden = calibrated || !state.picture;
   $("hint").textContent = hint();
-  showBar(view);
+  showScale(view);
+  $("three-label").hidden = !["colour", "points"].includes(view) || !state.picture?.planes.colours;
   showCursor();
+  placeMeasurements();
   if (answerShown) {
     // wait until drawing is done, so that the daemon's latency includes it
     canvas.gl.finish();
@@ -101,7 +126,7 @@ function hint() {
 function showAge() {
   const age = state.arrivedMs === null ? Infinity : (performance.now() - state.arrivedMs) / 1e3;
   const { status, connected } = state;
-  const old = !connected || (status !== null && (age > status.picture.stale_after_s || ["disconnected", "failed"].includes(status.state)));
+  const old = !state.frozen && (!connected || (status !== null && (age > status.picture.stale_after_s || ["disconnected", "failed"].includes(status.state))));
   $("view").classList.toggle("old", old && state.picture !== null);
   const reason = !connected ? "The daemon is not reachable."
     : !status || status.state === "idle" ? "Stopped."
@@ -110,31 +135,10 @@ function showAge() {
     : state.picture ? "No new picture." : "Waiting for the first picture.";
   const duration = age < 100 ? `${age.toFixed(0)} s` : `${Math.round(age / 60)} min`;
   const since = Number.isFinite(age) ? `\nThis picture is ${duration} old.` : "";
-  const text = old || !state.picture ? reason + since : "";
+  const text = state.frozen ? "" : old || !state.picture ? reason + since : "";
   const stale = $("stale");
   stale.hidden = !text;
   if (stale.textContent !== text) stale.textContent = text;
-}
-
-function showBar(view) {
-  const bar = document.querySelector(".bar");
-  const coloured = view === "colour" || view === "points";
-  $("three-label").hidden = !coloured || !state.picture?.planes.colours;
-  const shown = view === "depth" || view === "photons";
-  bar.classList.toggle("off", !shown);
-  if (!shown) return;
-  const [low, high] = rangeOf(view);
-  const words = view === "depth" ? (v) => `${v.toFixed(3)} m` : (v) => `${Math.round(v)} photons`;
-  $("bar-low").textContent = words(low);
-  $("bar-high").textContent = words(high);
-}
-
-function paintBar() {
-  const canvas = $("bar");
-  canvas.width = 256;
-  canvas.height = 1;
-  const image = new ImageData(new Uint8ClampedArray(colourMap()), 256, 1);
-  canvas.getContext("2d").putImageData(image, 0, 0);
 }
 
 function labelBands() {

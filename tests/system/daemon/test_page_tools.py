@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every control of the live page in a real browser, on a daemon with a simulated camera."""
+
+from __future__ import annotations
+
+import csv
+import re
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hueflight as hf
+from hueflight.simulator import simulate_capture
+from support.browser import open_browser, require_chromium
+from support.daemon_process import PATIENCE_S, Daemon, until
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+SHARE_DRAWN = """() => {
+  const shown = document.getElementById("cloud").hidden ? "plane" : "cloud";
+  const canvas = document.getElementById(shown);
+  const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
+  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  let bright = 0;
+  for (let i = 0; i < pixels.length; i += 4) {
+    if (Math.max(pixels[i], pixels[i + 1], pixels[i + 2]) > 40) bright++;
+  }
+  return (4 * bright) / pixels.length;
+}"""
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory, fast_instrument: Path) -> Iterator[Daemon]:
+    """A calibrated daemon, whose data lie in the folder `daemon.data`."""
+    require_chromium()
+    folder = tmp_path_factory.mktemp("daemon")
+    instrument = hf.Instrument.load(fast_instrument)
+    reference = simulate_capture("reference", instrument, frames=4000, seed=5)
+    kept = folder / "data/calibrations/20260101T000000Z"
+    kept.mkdir(parents=True)
+    hf.calibrate(reference, instrument, distance=0.4).save(kept / "calibration.zarr")
+    config = folder / "daemon.toml"
+    config.write_text(
+        f'name = "test bench"\ninstrument = "{fast_instrument}"\ndata = "{folder}/data"\n'
+        'rig = "simulated:fig1?frames=960"\n'
+        "[server]\nport = 0\nrequests_per_s = 200\nburst = 400\n[recording]\nmin_free_mb = 1\n"
+    )
+    made = Daemon(config, {})
+    made.data = folder / "data"  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        until(lambda: made.status()["kind"] == "live", "the live run is on")
+        yield made
+    finally:
+        made.end(signal.SIGKILL)
+
+
+@pytest.fixture
+def page(daemon: Daemon, tmp_path: Path) -> Iterator[Any]:
+    """The page of the daemon; errors in its console fail the test."""
+    with open_browser(tmp_path / "profile") as browser:
+        context = browser.new_context(viewport={"width": 1366, "height": 768})
+        opened = context.new_page()
+        opened.set_default_timeout(PATIENCE_S * 1e3)
+        failures: list[str] = []
+        opened.on("pageerror", lambda error: failures.append(str(error)))
+        opened.goto(daemon.url)
+        wait(opened, "#state", "live")
+        opened.wait_for_selector("#hint", state="hidden")
+        opened.focus("#view")
+        opened.daemon = daemon
+        yield opened
+    assert not failures
+
+
+def wait(page: Any, selector: str, text: str) -> None:
+    """Until the element says `text`."""
+    page.wait_for_function(
+        "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
+    )
+
+
+def drag(page: Any, begin: tuple[float, float], end: tuple[float, float], *on: str) -> None:
+    """Drag over an element, between places that are shares of its size."""
+    box = page.locator(on[0] if on else "#view").bounding_box()
+    for place, act in ((begin, page.mouse.down), (end, page.mouse.up)):
+        page.mouse.move(box["x"] + place[0] * box["width"], box["y"] + place[1] * box["height"])
+        act()
+
+
+def saved(page: Any, what: str) -> bytes:
+    """What the browser saves."""
+    with page.expect_download() as download:
+        page.select_option("#save", what)
+    return Path(download.value.path()).read_bytes()
+
+
+def test_how_pictures_are_made(page: Any) -> None:
+    wait(page, "#gathered", " s")
+    page.select_option("#integration", "1")
+    until(lambda: page.daemon.status()["picture"]["integration_s"] == 1, "a limit of one second")
+    page.select_option("#method", "pooled")
+    until(lambda: page.daemon.status()["picture"]["method"] == "pooled", "pooled is used")
+    page.select_option("#integration", "null")
+    until(lambda: page.daemon.status()["picture"]["integration_s"] is None, "no limit")
+    page.select_option("#method", "joint")
+    page.daemon.post("/api/picture", {"integration_s": 7})
+    page.focus("#view")
+    page.wait_for_function("() => document.querySelector('#integration').value === '7'")
+
+
+def test_what_is_shown_of_pixels_that_know_little(page: Any) -> None:
+    until(lambda: page.evaluate(SHARE_DRAWN) > 0.5, "most pixels are drawn")
+    page.locator("#limit").fill("0")  # 1 mm
+    wait(page, "#limit-value", "1.0 mm")
+    until(lambda: page.evaluate(SHARE_DRAWN) < 0.1, "they fade")
+    page.uncheck("#fade")
+    until(lambda: page.evaluate(SHARE_DRAWN) > 0.5, "they do not fade")
+    page.keyboard.press("4")
+    until(lambda: page.evaluate(SHARE_DRAWN) < 0.01, "uncertain points are left out")
+    page.locator("#limit").fill("60")
+    wait(page, "#limit-value", "any")
+    until(lambda: page.evaluate(SHARE_DRAWN) > 0.02, "all points are shown")
+    assert page.is_visible("#axes")
+    page.select_option("#hatched", "any")
+    page.focus("#view")
+    page.keyboard.press("+")
+    page.click("#reset-points")
+    page.focus("#view")
+    page.keyboard.press("1")
+    page.select_option("#hatched", "misfit")
+
+
+def test_the_scale(page: Any) -> None:
+    page.fill("#bar-low", "0.5")
+    page.fill("#bar-high", "1.5")
+    page.keyboard.press("Tab")
+    assert page.is_checked("#lock")
+    drag(page, (0.98, 0.5), (0.98, 0.5), "#bar-histogram")
+    page.wait_for_function("() => Math.abs(document.querySelector('#bar-high').value - 1.5) > 0.01")
+    page.check("#logarithmic")
+    for name in ("viridis, reversed", "gray", "gray, reversed", "stripes", "viridis"):
+        page.select_option("#map", name)
+    page.focus("#view")
+    page.keyboard.press("5")
+    wait(page, "#bar-unit", "photons per frame")
+
+
+def test_measuring_and_saving(page: Any) -> None:
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("g")
+    drag(page, (0.05, 0.8), (0.45, 0.95))
+    wait(page, "#region-depth", "depth ")
+    wait(page, "#region-spectrum", "659 nm ")
+    wait(page, "#region-place", "8 × 14 pixels at row 38, column 1")
+    page.keyboard.press("d")
+    for place in ((0.1, 0.9), (0.9, 0.9)):
+        drag(page, place, place)
+    wait(page, "#distance-text", "Distance ")
+    page.mouse.move(5, 5)
+    assert page.is_hidden("#hover")
+    box = page.locator("#view").bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    wait(page, "#hover", "row 24, column 16")
+    wait(page, "#series-now", "pictures")
+    page.select_option("#series-of", "photons")
+
+    page.focus("#view")
+    page.keyboard.press("f")
+    assert page.get_attribute("#freeze", "aria-pressed") == "true"
+    page.wait_for_timeout(500)  # pictures that were on their way
+    rows = list(csv.DictReader(saved(page, "csv").decode().splitlines()))
+    assert len(rows) == 48 * 32
+    known = [float(row["depth_m"]) for row in rows if row["depth_m"]]
+    assert len(known) > 500
+    assert 0.6 < sorted(known)[len(known) // 2] < 1.1  # the scene is at 0.7 to 1 m
+    assert saved(page, "csv").decode().splitlines()[1] == ",".join(rows[0].values())
+    assert saved(page, "png").startswith(b"\x89PNG")
+    page.locator("#limit").fill("60")
+    points = saved(page, "ply").decode().splitlines()
+    assert int(re.search(r"vertex (\d+)", "\n".join(points)).group(1)) == len(known)
+    assert len(points) - points.index("end_header") - 1 == len(known)
+    assert saved(page, "series").startswith(b"number,unix_s,depth,")
+    page.focus("#view")
+    page.keyboard.press("f")
+    page.keyboard.press("?")
+    wait(page, "#keys", "measure a region")
+    page.keyboard.press("Escape")
+
+
+def test_recordings(page: Any, daemon: Any) -> None:
+    questions: list[str] = []
+    answers = iter([False, "renamed", False, True])
+
+    def answer(dialog: Any) -> None:
+        questions.append(dialog.message)
+        said = next(answers)
+        if said is False:
+            dialog.dismiss()
+        elif said is True:
+            dialog.accept()
+        else:
+            dialog.accept(said)
+
+    page.on("dialog", answer)
+    page.keyboard.press("r")
+    page.fill("#record-name", "first")
+    page.fill("#record-note", "by hand")
+    page.keyboard.press("Enter")
+    wait(page, "#recording", "first")
+    page.focus("#view")
+    page.keyboard.press(" ")  # the question is answered with no
+    until(lambda: len(questions) == 1, "it asks")
+    assert "The recording first is in progress" in questions[0]
+    assert page.daemon.status()["recording"]["name"] == "first"
+    page.keyboard.press("r")
+    wait(page, "#f-disk", "last: first")
+
+    page.keyboard.press("r")
+    page.fill("#record-name", "second")
+    page.select_option("#record-rule", "frames")
+    page.fill("#record-limit", "500")
+    page.keyboard.press("Enter")
+    wait(page, "#f-disk", "last: second")
+    page.focus("#view")
+    page.keyboard.press("l")
+    page.wait_for_selector("[data-name=second]")
+    text = page.inner_text("[data-name=first]")
+    assert "scene: by hand" in text
+    assert "500 frames" in page.inner_text("[data-name=second]")
+    with page.expect_download() as download:
+        page.click("[data-name=second] button:text('Download')")
+    kept = daemon.data / "recordings/second.mcap"
+    assert Path(download.value.path()).read_bytes() == kept.read_bytes()
+    assert download.value.suggested_filename == "second.mcap"
+    page.click("[data-name=second] button:text('Rename')")
+    page.wait_for_selector("[data-name=renamed]")
+    page.click("[data-name=renamed] button:text('Delete')")
+    until(lambda: len(questions) == 3, "it asks")
+    assert (daemon.data / "recordings/renamed.mcap").exists()
+    page.click("[data-name=renamed] button:text('Delete')")
+    page.wait_for_selector("[data-name=renamed]", state="detached")
+    assert not (daemon.data / "recordings/renamed.mcap").exists()
+    page.click("#recordings-close")
+
+
+@pytest.mark.parametrize("size", [(1366, 768), (3840, 2160), (390, 844), (320, 640)])
+def test_nothing_is_wider_than_the_screen(page: Any, size: tuple[int, int]) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    for key in "1234":
+        page.keyboard.press(key)
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    box = page.locator("#view").bounding_box()
+    assert box["width"] > 0.4 * size[0]  # the picture uses the space
+
+
+def test_a_wrong_token_is_told_from_a_daemon_that_is_gone(
+    start_simulated: Callable[..., Daemon], tmp_path: Path
+) -> None:
+    require_chromium()
+    token = tmp_path / "token"
+    token.write_text("a-token-for-tests-only")
+    token.chmod(0o600)
+    daemon = start_simulated(tmp_path / "data", server=f'token_file = "{token}"')
+    with open_browser(tmp_path / "profile") as browser:
+        page = browser.new_context().new_page()
+        page.set_default_timeout(PATIENCE_S * 1e3)
+        page.goto(daemon.url)
+        wait(page, "#token-note", "requires a token")
+        page.fill("#token", "not-the-right-token")
+        page.keyboard.press("Enter")
+        wait(page, "#token-note", "The token is wrong")
+        page.fill("#token", "a-token-for-tests-only")
+        page.keyboard.press("Enter")
+        wait(page, "#state", "live")
+        daemon.end()
+        wait(page, "#state", "daemon not reachable")
+        assert not page.evaluate("document.querySelector('#token-dialog').open")

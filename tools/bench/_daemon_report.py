@@ -11,6 +11,7 @@ from _measure import table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOST_SAMPLES = 150  #: that are kept and drawn
+MEMORY_CHANGE = 0.01  #: either way, of what it is after a fifth of a long run
 STAGES = ("emulated camera", "checking and counting", "recording", "pictures", "serving", "browser")
 
 
@@ -55,6 +56,28 @@ def tables(run: dict[str, Any]) -> str:
             table([f"frames per second, {run['trial_s']:.0f} s each", "frames lost"], tried)
         )
     return "\n".join(parts)
+
+
+def shortcomings(run: dict[str, Any]) -> list[str]:
+    """What a long run must not show: frames lost beyond the camera's buffer, memory that changes.
+
+    Frames that the camera drops because the host did not ask for data in time are stated in the
+    tables; they say something about the machine.
+    """
+    found = [
+        f"{run['lost'][place]:,} frames were lost (place: {place})"
+        for place in ("sensor", "usb", "disk")
+        if run["lost"][place]
+    ]
+    of = run["recording"]
+    if of and of["intact"] != of["in_segments"]:
+        found.append(f"{of['in_segments'] - of['intact']:,} recorded frames are damaged")
+    memory = [sample["memory_mb"] for sample in run["samples"]]
+    steady = memory[len(memory) // 5 :]
+    least, most = min(steady), max(steady)
+    if most - least > 2 * MEMORY_CHANGE * steady[0]:
+        found.append(f"memory went from {least:.0f} to {most:.0f} MB after the first fifth")
+    return found
 
 
 def _recorded(run: dict[str, Any]) -> str:

@@ -4,7 +4,11 @@
     python tools/bench/daemon.py                                        # the delay
     python tools/bench/daemon.py --rate 18600 --occupancy 0.3 --seconds 600 --record --search \
         --docs run                                                      # the long run
+    python tools/bench/daemon.py --nightly                              # 90 minutes at full rate
+    python tools/bench/daemon.py --nightly --seconds 604800             # a week
 
+The nightly run records throughout, erases old segments, and fails if a frame is lost anywhere but
+in the camera's buffer, or if memory changes by more than one per cent after the first fifth.
 A camera model with simulated photons of the paper's scene plays frames in real time within the
 daemon's process; its own share of CPU is measured and stated. Headless Chromium shows the page.
 """
@@ -30,7 +34,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from _daemon_report import into_documentation, plot, tables, thinned
+from _daemon_report import into_documentation, plot, shortcomings, tables, thinned
 
 from hueflight.ingest import accumulate
 from hueflight.model.instrument import Instrument
@@ -41,6 +45,8 @@ RECORDING = "data/recordings/bench.mcap"  #: in the daemon's folder
 PATIENCE_S = 180.0
 SETTLE_S = 8.0  #: before a measurement: the browser's first pictures are slow
 TRIAL_S = 20.0
+SAMPLES_KEPT = 7200  #: of one a second; beyond, every other one is dropped
+NIGHT_S = 5400.0
 SLOWER = 0.85  #: of the rate, when frames were lost
 LEAST = 0.1  #: of the rate asked for: no slower trials
 BISECTIONS = 9  #: on the way to an exposure that gives the occupancy asked for
@@ -317,6 +323,8 @@ def _watch(
                 "cpu_s": since(cpu_s(), busy),
             }
         )
+        if len(samples) > SAMPLES_KEPT:
+            samples = samples[::-2][::-1]
     elapsed, after, cpu = time.monotonic() - began, status_of(url), since(cpu_s(), busy)
     totals = since(after["totals"], before["totals"])
     sensor = Instrument.load(arguments.instrument).sensor
@@ -390,6 +398,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=480.0, help="frames per second")
     parser.add_argument("--search", action="store_true", help="slower, until no frame is lost")
     parser.add_argument("--instrument", default="paper", help="preset or TOML file")
+    parser.add_argument(
+        "--nightly", action="store_true",
+        help="at 18,600 frames per second and an occupancy of 0.3, unless said otherwise, with "
+        "90 minutes of recording, of which 20 GB are kept; fails if frames or memory are lost",
+    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--pictures", type=float, default=0.0, help="per second; 0: what suits")
     parser.add_argument("--occupancy", type=float, default=0.0, help="0: what the scene has")
@@ -411,10 +424,16 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="where the recording goes meanwhile")
     parser.add_argument("--plot", type=Path, help="file to draw the run in")
     parser.add_argument(
-        "--docs", choices=("run", "delay"), help="write the plot and the tables into docs/"
+        "--docs", choices=("run", "delay", "night"), help="write the plot and the tables into docs/"
     )
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    if arguments.nightly:
+        parser.set_defaults(
+            rate=18_600.0, occupancy=0.3, seconds=NIGHT_S, record=float("inf"), keep=20.0,
+            buffer=32.0,
+        )  # fmt: skip
+        arguments = parser.parse_args()
     if arguments.serve:
         serve(arguments)
         return
@@ -426,6 +445,8 @@ def main() -> None:
         plot(arguments.plot, run)
     if arguments.docs:
         into_documentation(arguments.docs, run)
+    if arguments.nightly and (wrong := shortcomings(run)):
+        raise SystemExit("; ".join(wrong))
 
 
 if __name__ == "__main__":

@@ -48,7 +48,6 @@ def test_ten_lines_to_the_first_picture(daemon: Daemon) -> None:
         picture = camera.picture(timeout_s=WAIT_S)
     assert picture.photons.shape == camera.instrument.image_shape == (24, 16)
     assert picture.attrs["kind"] == "scene"
-    assert "depth" not in picture  # nothing was calibrated
 
 
 def test_pictures_are_new_ones_in_their_order(camera: Client) -> None:

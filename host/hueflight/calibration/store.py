@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from hueflight.errors import CalibrationError, CalibrationNotFoundError, FileFormatError
 from hueflight.files import ZARR_FORMAT, make_parent, require_checksums, staged, write_checksums
+from hueflight.recognition import CALIBRATION, CALIBRATION_FORMAT, what_is
 
-FORMAT = "hueflight calibration"
+FORMAT = CALIBRATION_FORMAT
 FORMAT_NUMBER = 2
 #: format 1 kept its checksums, of the arrays' values, in the attribute `crc32c`
 READABLE_FORMATS = (1, 2)
@@ -100,15 +101,10 @@ def read_store(path: Path) -> StoredCalibration:
     try:
         group = zarr.open_group(path, mode="r")
         attributes = dict(group.attrs)
-    except Exception as error:  # zarr raises many kinds for what is not a store
-        raise CalibrationError(
-            f"{path} is not a calibration: Zarr can't open it ({describe(error)})"
-        ) from None
+    except Exception:  # zarr raises many kinds for what is not a store
+        raise _no_calibration(path) from None
     if attributes.get("format") != FORMAT:
-        raise CalibrationError(
-            f"{path} is not a calibration: it is a Zarr store whose format is "
-            f"{attributes.get('format')!r}, not {FORMAT!r}"
-        )
+        raise _no_calibration(path)
     number = attributes.get("format_number")
     if number not in READABLE_FORMATS:
         raise CalibrationError(
@@ -130,6 +126,18 @@ def read_store(path: Path) -> StoredCalibration:
             f"calibration {path} is damaged: {describe(error)}. Restore it or calibrate again"
         ) from None
     return StoredCalibration(arrays, attributes)
+
+
+def _no_calibration(path: Path) -> CalibrationError:
+    seems = what_is(path)
+    if seems == CALIBRATION:  # its attributes are there, but Zarr can't open it
+        return CalibrationError(
+            f"calibration {str(path)!r} is damaged: restore it or calibrate again"
+        )
+    return CalibrationError(
+        f"{str(path)!r} is {seems}, not a calibration: give the folder NAME.zarr that hueflight "
+        "calibrate or Calibration.save wrote"
+    )
 
 
 def describe(error: Exception) -> str:

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 
-from cyclopts import App
+from cyclopts import App, CycloptsError
 
 from hueflight.cli.exit_codes import FAILED, INTERRUPTED
 from hueflight.errors import HueflightError
@@ -61,7 +61,11 @@ def main(words: Sequence[str] | None = None) -> None:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _show_warning
-            application(typed)(typed)
+            application(typed)(typed, exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        from hueflight.cli.usage import explain
+
+        _fail(explain(error))
     except HueflightError as error:
         _fail(str(error))
     except KeyboardInterrupt:

@@ -12,7 +12,8 @@ from cyclopts import Parameter
 from hueflight.calibration import calibrate as calibrate_captures
 from hueflight.cli.choices import PRESETS
 from hueflight.cli.output import progress, show
-from hueflight.errors import CalibrationError
+from hueflight.cli.units import require_meters, require_share
+from hueflight.errors import CalibrationError, HueflightError
 from hueflight.files import refuse_existing
 from hueflight.importers.captures import Capture, read_capture
 from hueflight.importers.options import AXES
@@ -50,7 +51,7 @@ def calibrate(
     ----------
     reference : Path
         Capture of the target with all LEDs on: a recording (.mcap) or counts (.npz, .npy, .zarr,
-        .h5, .ptu, .sdt).
+        .h5, .mat, .csv, .json, .ptu, .sdt).
     distance : float
         Distance of the target from the camera, in metres.
     out : Path
@@ -89,6 +90,9 @@ def calibrate(
     json : bool, default False
         Print one JSON object instead of a table.
     """
+    if out.suffix.lower() != ".zarr":
+        raise HueflightError(f"--out {out}: a calibration is written as NAME.zarr")
+    require_share(reflectance)
     refuse_existing(out, overwrite=overwrite)
     options: dict[str, Any] = {"dataset": dataset, "axes": axes, "channel": channel}
     extra = {"bands": bands, "dark": dark, "flat": flat}
@@ -97,6 +101,7 @@ def calibrate(
     with task(shown, "reading", 1 + len(given)):
         chosen = None if instrument is None else Instrument.load(instrument)
         main = read_capture(reference, chosen, **options)
+        require_meters(distance, main.instrument)
         if not ignore_notes:
             _require_agreement(reference, main, "reference", distance)
         shown.advance()

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from hueflight.calibration import Calibration, check_calibration
 from hueflight.cli.exit_codes import NO_LONGER_HOLDS
 from hueflight.cli.output import show
+from hueflight.cli.units import require_meters
 from hueflight.files import refuse_existing
 from hueflight.importers.captures import read_capture
 from hueflight.importers.options import AXES
@@ -67,6 +68,7 @@ def check(
     if page is not None:
         refuse_existing(page, overwrite=overwrite)
     known = Calibration.load(calibration)
+    require_meters(distance, known.instrument)
     capture = read_capture(reference, known.instrument, dataset=dataset, axes=axes, channel=channel)
     known.require(capture.instrument)
     found = check_calibration(known, capture.counts, distance=distance, frames=frames)

@@ -68,6 +68,7 @@ def export(
     if band is not None:
         options["band"] = find_band(loaded, band)
     options = {name: value for name, value in options.items() if value is not None}
+    written = write(loaded, out, format=format, overwrite=overwrite, **options)
     cloud = format in ("ply", "las") or out.suffix.lower() in (".ply", ".las")
     described = "instrument_description" in loaded.attrs
     if cloud and described and instrument_of(loaded).lens is None:
@@ -75,5 +76,4 @@ def export(
             "the instrument has no lens, so that the points lie on a line along the optical axis: "
             "state the lens and the pixel pitch in its description and calibrate again"
         )
-    written = write(loaded, out, format=format, overwrite=overwrite, **options)
     show(f"Export of {image}", {"files": [str(path) for path in written]}, json_wanted=json)

@@ -19,8 +19,8 @@ def info(file: Path, *, check: bool = False, json: bool = False) -> int:
     Parameters
     ----------
     file : Path
-        Recording (.mcap), counts (.npz, .npy, .zarr, .h5, .ptu, .sdt), calibration (.zarr), image
-        (.zarr, .nc) or instrument description (.toml).
+        Recording (.mcap), counts (.npz, .npy, .zarr, .h5, .mat, .csv, .json, .ptu, .sdt),
+        calibration (.zarr), image (.zarr, .nc) or instrument description (.toml).
     check : bool, default False
         Read everything, compare it with the checksums in the file and say whether it is whole.
     json : bool, default False

@@ -15,6 +15,7 @@ from hueflight.calibration.description_check import check_description
 from hueflight.cli.choices import PRESETS
 from hueflight.cli.exit_codes import FAILED
 from hueflight.cli.output import print_notice, show
+from hueflight.cli.units import require_meters
 from hueflight.errors import InstrumentError
 from hueflight.files import import_optional, refuse_existing, staged
 from hueflight.importers import tcspc_instrument
@@ -213,6 +214,7 @@ def check(
     if picture is not None:
         refuse_existing(picture, overwrite=overwrite)
     loaded = Instrument.load(description)
+    require_meters(distance, loaded)
     capture = read_capture(reference, loaded, dataset=dataset, axes=axes, channel=channel)
     found = check_description(capture.counts, loaded, distance=distance)
     if picture is not None:

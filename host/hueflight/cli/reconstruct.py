@@ -25,7 +25,8 @@ def reconstruct(
     *captures: Annotated[
         Path,
         Parameter(
-            help="Recordings (.mcap) or counts (.npz, .npy, .zarr, .h5, .ptu, .sdt); at least one."
+            help="Recordings (.mcap) or counts (.npz, .npy, .zarr, .h5, .mat, .csv, .json, .ptu, "
+            ".sdt); at least one."
         ),
     ],
     calibration: Annotated[Path, Parameter(name=["--calibration", "-c"])],
@@ -66,7 +67,8 @@ def reconstruct(
     Parameters
     ----------
     *captures : Path
-        Recordings (.mcap) or counts (.npz, .npy, .zarr, .h5, .ptu, .sdt).
+        Recordings (.mcap) or counts (.npz, .npy, .zarr, .h5, .mat, .csv, .json, .ptu,
+        .sdt).
     calibration : Path
         Calibration of the instrument that made the captures, as `hueflight calibrate` writes it.
     out : Path

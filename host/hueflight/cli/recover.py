@@ -9,8 +9,12 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from hueflight.cli.output import show
+from hueflight.errors import RecordingError
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import what_is
 from hueflight.recording import recover as recover_recording
+from hueflight.recording.layout import SUFFIX
+from hueflight.recording.recovery import Outcome
 
 
 def recover(
@@ -45,7 +49,18 @@ def recover(
     int
         Exit code.
     """
+    seems = what_is(recording)
+    if recording.exists() and recording.suffix.lower() != SUFFIX:
+        raise RecordingError(
+            f"{str(recording)!r} is {seems}: recover takes the first file of a recording, "
+            f"NAME{SUFFIX}"
+        )
     known = None if instrument is None else Instrument.load(instrument)
     recovery = recover_recording(recording, out, instrument=known, overwrite=overwrite)
+    if recovery.outcome == Outcome.NOTHING and not json:
+        raise RecordingError(
+            f"nothing could be recovered from {str(recording)!r}: it is {seems} without an intact "
+            "record of a recording"
+        )
     show(f"Recovered from {recording}", recovery.as_dict(), json_wanted=json)
     return int(recovery.outcome)

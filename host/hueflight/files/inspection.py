@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+CHECKED = "everything was read and agrees with its checksums"
+READ = "everything was read without an error; files of this kind have no checksums"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,3 +47,66 @@ class FileDescription:
             "whole": self.whole,
             "evidence": self.evidence,
         }
+
+
+def checked(
+    kind: str, facts: Mapping[str, Any], check: bool, read: Callable[[], str]
+) -> FileDescription:
+    """Describe a file whose content is read by a function that returns the evidence.
+
+    Parameters
+    ----------
+    kind : str
+        What the file is.
+    facts : mapping of str to Any
+        What describes it.
+    check : bool
+        Whether to read the content.
+    read : callable
+        Function that reads it and says what was compared; an error means that it is not whole.
+
+    Returns
+    -------
+    FileDescription
+        The description.
+    """
+    if not check:
+        return FileDescription(kind=kind, facts=facts)
+    try:
+        return FileDescription(kind=kind, facts=facts, whole=True, evidence=read())
+    except Exception as error:  # ours or a library's: whatever it says, the content is not whole
+        return FileDescription(kind=kind, facts=facts, whole=False, evidence=reason_of(error))
+
+
+def reason_of(error: Exception) -> str:
+    """Return the first line of an error, or its type where it says nothing.
+
+    Parameters
+    ----------
+    error : Exception
+        Error of a library.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def array_text(shape: tuple[int, ...], dtype: Any) -> str:
+    """Return shape and type of an array as text.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Its shape.
+    dtype : Any
+        Its type.
+
+    Returns
+    -------
+    str
+        Such as ``192 × 128 × 512 uint16``.
+    """
+    return f"{' × '.join(map(str, shape)) or 'one value'} {dtype}"

@@ -15,9 +15,11 @@ from hueflight.errors import FileFormatError, HueflightError, InstrumentError
 from hueflight.files import import_optional
 from hueflight.importers.options import AXES, ReadOptions
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import HDF5, NPY, NPZ, ZARR, why_unreadable
 
 COUNTS = "histogram"  #: name of the array that is read by default if there are several
 DESCRIPTIONS = ("instrument_description", "instrument")  #: entries with an instrument as JSON
+MEANT = {".npy": NPY, ".npz": NPZ, ".zarr": ZARR}  #: what a file should be by its extension
 
 
 def read_array_counts(
@@ -83,8 +85,8 @@ def read_array(path: Path, dataset: str | None) -> tuple[NDArray[Any], Instrumen
     except HueflightError:
         raise
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(f"{str(path)!r} can't be read: {reason}") from error
+        meant = MEANT.get(path.suffix.lower(), HDF5)
+        raise FileFormatError(why_unreadable(path, meant, error)) from error
     if description is None:
         return array, None
     return array, Instrument.from_json(description, where=f"instrument in {path}")
@@ -101,7 +103,7 @@ def _read_npy(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None
 
 def _read_npz(path: Path, dataset: str | None) -> tuple[NDArray[Any], str | None]:
     if not zipfile.is_zipfile(path):
-        raise FileFormatError(f"{str(path)!r} is not an .npz file: it is damaged or cut short")
+        raise ValueError("it has no list of its contents")
     with np.load(path, allow_pickle=False) as file:
         described = next((name for name in DESCRIPTIONS if name in file.files), None)
         names = [name for name in file.files if name not in DESCRIPTIONS]
@@ -282,7 +284,7 @@ def _agreed(path: Path, given: Instrument | None, described: Instrument | None) 
     """Return the instrument given or described by the file; they must not contradict."""
     if given is None and described is None:
         raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one"
+            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
         )
     if given is not None and described is not None and (apart := described.differences(given)):
         raise InstrumentError(

@@ -17,7 +17,7 @@ from hueflight.files.ages import age
 from hueflight.importers.arrays import arranged, read_array, read_array_counts
 from hueflight.importers.counts import read_counts
 from hueflight.importers.options import AXES, ReadOptions
-from hueflight.importers.readers import reader_of
+from hueflight.importers.readers import reader_of, refuse_results
 from hueflight.ingest import IngestReport
 from hueflight.model.instrument import Instrument
 from hueflight.recording import open_recording
@@ -156,6 +156,7 @@ def read_capture(
         return Capture(counts, chosen, _outside_period(counts, chosen))
     if not path.exists():
         raise InputNotFoundError(f"no capture {str(path)!r}: there is no such file")
+    refuse_results(path, dataset)
     if reader_of(path) is not read_array_counts:
         raise FileFormatError(
             f"{str(path)!r} can't hold one LED at a time: store an array (step, row, col, code) as "

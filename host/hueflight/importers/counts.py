@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import InputNotFoundError
 from hueflight.importers.options import AXES, ReadOptions
-from hueflight.importers.readers import reader_of
+from hueflight.importers.readers import reader_of, refuse_results
 from hueflight.model.histograms import check_histogram
 from hueflight.model.instrument import Instrument
 
@@ -63,9 +63,10 @@ def read_counts(
         If the counts do not fit the instrument.
     """
     path = Path(path)
-    reader = reader_of(path)
     if not path.exists():
         raise InputNotFoundError(f"no counts {str(path)!r}: there is no such file")
+    refuse_results(path, dataset)
+    reader = reader_of(path)
     options = ReadOptions(dataset=dataset, axes=axes, channel=channel)
     counts, chosen = reader(path, instrument, options)
     return check_histogram(counts, chosen, name=path.name), chosen

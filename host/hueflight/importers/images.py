@@ -10,6 +10,7 @@ import xarray as xr
 from hueflight.errors import FileFormatError, ImageError, InputNotFoundError, MissingPackageError
 from hueflight.files import import_optional, verify_checksums
 from hueflight.files.image_schema import require_image
+from hueflight.recognition import HDF5, IMAGE, what_is, why_unreadable
 
 ENDINGS = (".zarr", ".nc", ".nc4")
 
@@ -50,14 +51,15 @@ def read_image(path: str | Path, /) -> xr.Dataset:
         If there is no such file, it is damaged or incomplete, or it holds no image.
     """
     path = Path(path)
-    if not path.name.lower().endswith(ENDINGS):
-        raise FileFormatError(
-            f"{str(path)!r}: an image is a Zarr store (.zarr) or a NetCDF file (.nc); export it as "
-            "one of these to read it again"
-        )
     if not path.exists():
         raise InputNotFoundError(f"no image {str(path)!r}: there is no such file")
     store = path.suffix.lower() == ".zarr"
+    seems = what_is(path)
+    if not path.name.lower().endswith(ENDINGS) or (store and seems != IMAGE):
+        raise FileFormatError(
+            f"{str(path)!r} is {seems}, not an image: give NAME.zarr or NAME.nc, as hueflight "
+            "reconstruct writes them"
+        )
     try:
         if store:
             verify_checksums(path)
@@ -73,11 +75,7 @@ def read_image(path: str | Path, /) -> xr.Dataset:
     except ImageError as error:
         raise FileFormatError(f"{str(path)!r}: {error}") from None
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(
-            f"{str(path)!r} can't be read as an image: {reason}. It is damaged, incomplete or "
-            "of another format"
-        ) from error
+        raise FileFormatError(why_unreadable(path, IMAGE if store else HDF5, error)) from error
     if "instrument_fingerprint" in image.attrs and "band_name" in image.coords:
         # images of version 0.1.0 have the names, but not as labels for `sel`
         image = image.assign_coords(band=image["band_name"].values)

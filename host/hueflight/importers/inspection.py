@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,36 @@ from hueflight.errors import FileFormatError, HueflightError, InputNotFoundError
 from hueflight.files import import_optional, verify_checksums
 from hueflight.files.ages import age
 from hueflight.files.image_schema import SERIES_DIM
-from hueflight.files.inspection import FileDescription
+from hueflight.files.inspection import (
+    CHECKED,
+    READ,
+    FileDescription,
+    array_text,
+    checked,
+)
 from hueflight.importers.arrays import DESCRIPTIONS, description_in
+from hueflight.importers.foreign_inspection import (
+    describe_csv,
+    describe_json,
+    describe_mat,
+    describe_ptu,
+    describe_sdt,
+)
 from hueflight.importers.images import read_image
-from hueflight.importers.tcspc import RECORD_BYTES
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import (
+    HDF5,
+    MATLAB,
+    NPY,
+    NPZ,
+    PTU,
+    SDT,
+    TEXT,
+    ZARR,
+    what_is,
+    why_unreadable,
+)
 
-CHECKED = "everything was read and agrees with its checksums"
-READ = "everything was read without an error; files of this kind have no checksums"
 PIECE_BYTES = 1 << 26  #: of an array that are read at a time
 
 
@@ -35,8 +57,9 @@ def describe_file(path: Path, /, *, check: bool = False) -> FileDescription:
     Parameters
     ----------
     path : Path
-        Counts (``.npz``, ``.npy``, ``.zarr``, ``.h5``, ``.ptu``, ``.sdt``), a calibration
-        (``.zarr``), an image (``.zarr``, ``.nc``) or an instrument description (``.toml``).
+        Counts (``.npz``, ``.npy``, ``.zarr``, ``.h5``, ``.mat``, ``.csv``, ``.json``, ``.ptu``,
+        ``.sdt``), a calibration (``.zarr``), an image (``.zarr``, ``.nc``) or an instrument
+        description (``.toml``).
     check : bool, default False
         Whether to read all of the content and to compare it with checksums, where there are any.
 
@@ -55,41 +78,19 @@ def describe_file(path: Path, /, *, check: bool = False) -> FileDescription:
         If it is an instrument description or a calibration that can't be used.
     """
     ending = path.suffix.lower()
-    if ending not in _DESCRIBERS:
-        raise FileFormatError(
-            f"{str(path)!r} ends in {ending or 'nothing'!r}: info describes .mcap, "
-            f"{', '.join(_DESCRIBERS)}"
-        )
     if not path.exists():
         raise InputNotFoundError(f"{str(path)!r}: there is no such file")
+    if ending not in _DESCRIBERS:
+        raise FileFormatError(
+            f"{str(path)!r} is {what_is(path)}, of which info says no more: it describes .mcap, "
+            f"{', '.join(_DESCRIBERS)}"
+        )
     try:
         return _DESCRIBERS[ending](path, check)
     except HueflightError:
         raise
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        raise FileFormatError(
-            f"{str(path)!r} can't be read: {_reason(error)}. It is damaged, incomplete or of "
-            "another format"
-        ) from error
-
-
-def _reason(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-def _checked(
-    kind: str,
-    facts: Mapping[str, Any],
-    check: bool,
-    read: Callable[[], str],
-) -> FileDescription:
-    """Describe a file whose content is read by a function that returns the evidence."""
-    if not check:
-        return FileDescription(kind=kind, facts=facts)
-    try:
-        return FileDescription(kind=kind, facts=facts, whole=True, evidence=read())
-    except Exception as error:  # ours or a library's: whatever it says, the content is not whole
-        return FileDescription(kind=kind, facts=facts, whole=False, evidence=_reason(error))
+        raise FileFormatError(why_unreadable(path, _MEANT[ending], error)) from error
 
 
 def instrument_facts(instrument: Instrument) -> dict[str, Any]:
@@ -154,8 +155,8 @@ def _describe_npz(path: Path, check: bool) -> FileDescription:
                     else np.lib.format.read_array_header_2_0
                 )
                 shape, _, dtype = header(entry)
-                arrays[name] = _array(shape, dtype)
-    return _checked("counts in NumPy arrays", _counts_facts(arrays, described, path), check, read)
+                arrays[name] = array_text(shape, dtype)
+    return checked("counts in NumPy arrays", _counts_facts(arrays, described, path), check, read)
 
 
 def _describe_npy(path: Path, check: bool) -> FileDescription:
@@ -166,8 +167,8 @@ def _describe_npy(path: Path, check: bool) -> FileDescription:
         np.load(path, allow_pickle=False)
         return READ
 
-    facts = {"arrays": {"(only one)": _array(array.shape, array.dtype)}}
-    return _checked("counts in a NumPy array", facts, check, read)
+    facts = {"arrays": {"(only one)": array_text(array.shape, array.dtype)}}
+    return checked("counts in a NumPy array", facts, check, read)
 
 
 def _describe_zarr(path: Path, check: bool) -> FileDescription:
@@ -185,9 +186,9 @@ def _describe_zarr(path: Path, check: bool) -> FileDescription:
             _read_in_pieces(array)
         return CHECKED if sealed else READ.replace("files of this kind have", "the store has")
 
-    shown = {name: _array(array.shape, array.dtype) for name, array in arrays}
+    shown = {name: array_text(array.shape, array.dtype) for name, array in arrays}
     facts = _counts_facts(shown, description_in(attributes), path)
-    return _checked("counts in a Zarr store", facts, check, read)
+    return checked("counts in a Zarr store", facts, check, read)
 
 
 def _members(group: zarr.Group) -> list[tuple[str, zarr.Array]]:
@@ -201,7 +202,7 @@ def _describe_hdf5(path: Path, check: bool) -> FileDescription:
     with h5py.File(path, "r") as file:
         file.visititems(
             lambda name, node: (
-                arrays.update({name: _array(node.shape, node.dtype)})
+                arrays.update({name: array_text(node.shape, node.dtype)})
                 if isinstance(node, h5py.Dataset)
                 else None
             )
@@ -214,7 +215,7 @@ def _describe_hdf5(path: Path, check: bool) -> FileDescription:
                 _read_in_pieces(file[name])
         return READ
 
-    return _checked("arrays in HDF5", _counts_facts(arrays, described, path), check, read)
+    return checked("arrays in HDF5", _counts_facts(arrays, described, path), check, read)
 
 
 def _read_in_pieces(array: Any) -> None:
@@ -226,10 +227,6 @@ def _read_in_pieces(array: Any) -> None:
     step = max(1, PIECE_BYTES // row)
     for start in range(0, array.shape[0], step):
         array[start : start + step]
-
-
-def _array(shape: tuple[int, ...], dtype: Any) -> str:
-    return f"{' × '.join(map(str, shape)) or 'one value'} {dtype}"
 
 
 def _counts_facts(arrays: dict[str, str], described: str | None, path: Path) -> dict[str, Any]:
@@ -253,7 +250,7 @@ def _describe_calibration(path: Path, attributes: dict[str, Any], check: bool) -
         Calibration.load(path)
         return CHECKED
 
-    return _checked("calibration", facts, check, read)
+    return checked("calibration", facts, check, read)
 
 
 def _describe_image(path: Path, check: bool) -> FileDescription:
@@ -284,58 +281,7 @@ def _describe_image(path: Path, check: bool) -> FileDescription:
         read_image(path)
         return CHECKED if sealed else READ.replace("files of this kind have", "the file has")
 
-    return _checked("series of images" if series else "image", facts, check, read)
-
-
-def _describe_ptu(path: Path, check: bool) -> FileDescription:
-    ptufile = import_optional("ptufile", extra="import")
-    with ptufile.PtuFile(path) as ptu:
-        present = max(0, (path.stat().st_size - ptu.record_offset) // RECORD_BYTES)
-        announced = int(ptu.number_records)
-        facts: dict[str, Any] = {
-            "record_type": ptu.record_type.name,
-            "mode": "T3" if ptu.is_t3 else "T2 (without a time within a period: not readable here)",
-            "image": bool(ptu.is_image),
-            "records": announced,
-            "bin_width_ns": float(ptu.tcspc_resolution) * 1e9,
-            "period_ns": float(ptu.global_resolution) * 1e9,
-            "recorded": None if ptu.datetime is None else str(ptu.datetime),
-        }
-        if present < announced:
-            return FileDescription(
-                kind="PicoQuant PTU file",
-                facts=facts,
-                whole=False,
-                evidence=f"it was cut short: it holds {present} of {announced} records",
-            )
-        if check:
-            try:
-                facts |= {
-                    "channels_with_photons": [int(number) for number in ptu.active_channels],
-                    "photons": int(ptu.number_photons),
-                    "shape": dict(zip(ptu.dims, map(int, ptu.shape), strict=True)),
-                }
-            except Exception as error:  # the library raises many kinds
-                return FileDescription(
-                    kind="PicoQuant PTU file", facts=facts, whole=False, evidence=_reason(error)
-                )
-    return _checked("PicoQuant PTU file", facts, check, lambda: READ)
-
-
-def _describe_sdt(path: Path, check: bool) -> FileDescription:
-    del check  # the library has no way to read less than everything
-    sdtfile = import_optional("sdtfile", extra="import")
-    with path.open("rb") as file:
-        sdt = sdtfile.SdtFile(file)
-        blocks, times = list(sdt.data), list(sdt.times)
-    widths = [float(time[1] - time[0]) * 1e9 for time in times if len(time) > 1]
-    facts = {
-        "blocks": {
-            str(number): _array(block.shape, block.dtype) for number, block in enumerate(blocks)
-        },
-        "bin_width_ns": widths[0] if widths else None,
-    }
-    return FileDescription(kind="Becker & Hickl SDT file", facts=facts, whole=True, evidence=READ)
+    return checked("series of images" if series else "image", facts, check, read)
 
 
 _DESCRIBERS: dict[str, Callable[[Path, bool], FileDescription]] = {
@@ -347,7 +293,23 @@ _DESCRIBERS: dict[str, Callable[[Path, bool], FileDescription]] = {
     ".h5": _describe_hdf5,
     ".hdf5": _describe_hdf5,
     ".hdf": _describe_hdf5,
-    ".ptu": _describe_ptu,
-    ".sdt": _describe_sdt,
+    ".ptu": describe_ptu,
+    ".sdt": describe_sdt,
+    ".mat": describe_mat,
+    ".csv": describe_csv,
+    ".json": describe_json,
+    ".jsonl": describe_json,
     ".toml": _describe_toml,
+}
+
+#: what a file should be by its extension
+_MEANT = {
+    **dict.fromkeys((".nc", ".nc4", ".h5", ".hdf5", ".hdf"), HDF5),
+    ".npz": NPZ,
+    ".npy": NPY,
+    ".zarr": ZARR,
+    ".ptu": PTU,
+    ".sdt": SDT,
+    ".mat": MATLAB,
+    **dict.fromkeys((".csv", ".json", ".jsonl", ".toml"), TEXT),
 }

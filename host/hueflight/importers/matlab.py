@@ -14,6 +14,7 @@ from hueflight.files import import_optional
 from hueflight.importers.arrays import arranged, choose_array
 from hueflight.importers.options import ReadOptions
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import HDF5, MATLAB, why_unreadable
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_AT = 512  #: bytes of MATLAB's own header before the HDF5 file
@@ -52,43 +53,76 @@ def read_mat(
     options.refuse_all_but("dataset", "axes", path=path)
     if instrument is None:
         raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one"
+            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
         )
     try:
-        with path.open("rb") as file:
-            begin = file.read(HDF5_AT + len(HDF5_SIGNATURE))
-        hdf5 = HDF5_SIGNATURE in (begin[: len(HDF5_SIGNATURE)], begin[HDF5_AT:])
-        read = _read_hdf5 if hdf5 else _read_version_5
-        array = read(path, options.dataset)
+        names = [name for name, (shape, _) in matlab_arrays(path).items() if np.prod(shape) > 1]
+        array = read_variable(path, choose_array(path, names, options.dataset))
     except HueflightError:
         raise
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise FileFormatError(f"{str(path)!r} can't be read as a MATLAB file: {reason}") from error
+        meant = HDF5 if _is_hdf5(path) else MATLAB
+        raise FileFormatError(why_unreadable(path, meant, error)) from error
     return arranged(array, options.axes, instrument), instrument
 
 
-def _read_version_5(path: Path, dataset: str | None) -> NDArray[Any]:
-    from scipy.io import loadmat, whosmat  # loading it takes longer than reading other files
+def matlab_arrays(path: Path, /) -> dict[str, tuple[tuple[int, ...], str]]:
+    """List the numeric variables of a MATLAB file.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+
+    Returns
+    -------
+    dict of str to tuple
+        Shape as MATLAB shows it, and type, of each variable by its name.
+    """
+    if _is_hdf5(path):
+        h5py = import_optional("h5py", extra="import")
+        with h5py.File(path, "r") as file:
+            return {
+                name: (node.shape[::-1], str(node.dtype))
+                for name, node in file.items()
+                if isinstance(node, h5py.Dataset) and node.dtype.kind in "uif"
+            }
+    from scipy.io import whosmat  # loading it takes longer than reading other files
 
     numeric = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
     numeric |= {"double", "single", "logical"}
-    found = {name: (shape, kind) for name, shape, kind in whosmat(str(path))}
-    # single numbers, such as a bin width, are no counts
-    names = [
-        name for name, (shape, kind) in found.items() if kind in numeric and np.prod(shape) > 1
-    ]
-    chosen = choose_array(path, names, dataset)
-    return loadmat(str(path), variable_names=[chosen])[chosen]
+    return {
+        name: (tuple(shape), kind) for name, shape, kind in whosmat(str(path)) if kind in numeric
+    }
 
 
-def _read_hdf5(path: Path, dataset: str | None) -> NDArray[Any]:
-    h5py = import_optional("h5py", extra="import")
-    with h5py.File(path, "r") as file:
-        names = [
-            name
-            for name, node in file.items()
-            if isinstance(node, h5py.Dataset) and node.dtype.kind in "uif" and node.size > 1
-        ]
-        # HDF5 has the last axis first in memory order, MATLAB the first one
-        return file[choose_array(path, names, dataset)][...].T
+def read_variable(path: Path, name: str, /) -> NDArray[Any]:
+    """Read a variable of a MATLAB file, with the axes in MATLAB's order.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+    name : str
+        Name of the variable.
+
+    Returns
+    -------
+    numpy.ndarray
+        Its values.
+    """
+    if _is_hdf5(path):
+        h5py = import_optional("h5py", extra="import")
+        with h5py.File(path, "r") as file:
+            # HDF5 has the last axis first in memory order, MATLAB the first one
+            return file[name][...].T
+    from scipy.io import loadmat
+
+    return loadmat(str(path), variable_names=[name])[name]
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Tell version 7.3 from those before."""
+    with path.open("rb") as file:
+        begin = file.read(HDF5_AT + len(HDF5_SIGNATURE))
+    return HDF5_SIGNATURE in (begin[: len(HDF5_SIGNATURE)], begin[HDF5_AT:])

@@ -17,6 +17,7 @@ from hueflight.files import import_optional
 from hueflight.importers.arrays import read_array_counts
 from hueflight.importers.options import ReadOptions
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import HDF5, why_unreadable
 
 GROUP = "photon_data"
 TOLERANCE = 1e-3  #: relative, of the width of a bin
@@ -60,7 +61,7 @@ def read_hdf5(
                 if options.dataset is None and f"{GROUP}/{name}" in file
             }
     except OSError as error:
-        raise FileFormatError(f"{str(path)!r} can't be read: {error}") from error
+        raise FileFormatError(why_unreadable(path, HDF5, error)) from error
     if "nanotimes" not in found:
         return read_array_counts(path, instrument, options)
     times, detectors = found["nanotimes"], found.get("detectors")
@@ -68,7 +69,7 @@ def read_hdf5(
     options.refuse_all_but("channel", path=path)
     if instrument is None:
         raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one"
+            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
         )
     if instrument.image_shape != (1, 1):
         raise InstrumentError(

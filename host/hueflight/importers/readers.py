@@ -24,6 +24,7 @@ from hueflight.importers.photon_hdf5 import read_hdf5
 from hueflight.importers.tcspc import read_ptu, read_sdt
 from hueflight.importers.text import read_csv, read_json_log
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import CALIBRATION, IMAGE, what_is
 
 ENTRY_POINT_GROUP = "hueflight.importers"
 
@@ -102,6 +103,30 @@ def reader_of(path: Path, /) -> CountsReader:
     if extension in installed:
         return installed[extension].load()
     raise FileFormatError(
-        f"{str(path)!r} ends in {extension or 'nothing'!r}: counts are read from "
-        f"{', '.join([*READERS, *sorted(installed)])}"
+        f"{str(path)!r} is {what_is(path)}, and counts are not read from "
+        f"{f'files that end in {extension!r}' if extension else 'names without an extension'}: "
+        f"give a recording (.mcap) or one of {', '.join([*READERS, *sorted(installed)])}"
     )
+
+
+def refuse_results(path: Path, dataset: str | None, /) -> None:
+    """Raise an error for an image or a calibration where counts are wanted.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+    dataset : str, optional
+        Name of an array; if one is given, it is meant.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is a result and no counts.
+    """
+    seems = what_is(path)
+    if dataset is None and seems in (CALIBRATION, IMAGE):
+        raise FileFormatError(
+            f"{str(path)!r} is {seems}, not a capture: give the recording (.mcap) or the counts "
+            "that it was made from"
+        )

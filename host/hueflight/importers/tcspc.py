@@ -21,6 +21,7 @@ from hueflight.files import import_optional
 from hueflight.importers.options import ReadOptions
 from hueflight.model.instrument import Band, Instrument, Sensor, Timing
 from hueflight.model.time_bins import TimeBins
+from hueflight.recognition import PTU, SDT, what_is, why_unreadable
 
 BIN_WIDTH_TOLERANCE = 1e-3  #: relative; over a whole period it shifts a pulse by about a bin
 
@@ -140,7 +141,8 @@ def tcspc_instrument(
     """
     path = Path(path)
     if path.suffix.lower() not in (".ptu", ".sdt"):
-        raise FileFormatError(f"{str(path)!r} is neither a .ptu nor an .sdt file")
+        seems = what_is(path) if path.exists() else "no file that exists"
+        raise FileFormatError(f"{str(path)!r} is {seems}: give a .ptu or .sdt file")
     ptu = path.suffix.lower() == ".ptu"
     decays = _ptu_decays(path, channel) if ptu else _sdt_decays(path, block)
     rows, cols, bins = decays.counts.shape
@@ -202,7 +204,7 @@ def _ptu_decays(path: Path, channel: int | None) -> _Decays:
     except HueflightError:
         raise
     except Exception as error:  # the library raises many kinds of errors for damaged files
-        raise FileFormatError(f"{str(path)!r} can't be read as PTU: {error}") from error
+        raise FileFormatError(why_unreadable(path, PTU, error)) from error
 
 
 def _sdt_decays(path: Path, block: str | None) -> _Decays:
@@ -213,7 +215,7 @@ def _sdt_decays(path: Path, block: str | None) -> _Decays:
             sdt = sdtfile.SdtFile(file)
             blocks, times = list(sdt.data), list(sdt.times)
     except Exception as error:  # the library raises many kinds of errors for damaged files
-        raise FileFormatError(f"{str(path)!r} can't be read as SDT: {error}") from error
+        raise FileFormatError(why_unreadable(path, SDT, error)) from error
     if not blocks:
         raise FileFormatError(f"{str(path)!r} holds no data block")
     if block is None and len(blocks) > 1:
@@ -240,7 +242,7 @@ def _given(instrument: Instrument | None, path: Path) -> Instrument:
     if instrument is None:
         raise InstrumentError(
             f"{str(path)!r} does not say which bands there are: give an instrument "
-            "(importers.tcspc_instrument makes one from the file and your bands)"
+            "(--instrument; hueflight instrument new --from FILE makes one)"
         )
     return instrument
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hueflight.errors import FileFormatError, InstrumentError
 from hueflight.importers.options import ReadOptions
 from hueflight.model.instrument import Instrument
+from hueflight.recognition import what_is
 
 #: entries of a log that hold one histogram for each zone
 HISTOGRAMS = ("hists", "histograms", "histogram", "cnh", "bins")
@@ -56,7 +57,7 @@ def read_csv(
     """
     options.refuse_all_but(path=path)
     given = _given(instrument, path)
-    titles, table = _table(path)
+    titles, table = read_table(path)
     rows, cols = given.image_shape
     if titles[:2] == ["row", "col"]:
         counts = np.zeros((rows, cols, table.shape[1] - 2))
@@ -110,7 +111,7 @@ def read_json_log(
     """
     options.refuse_all_but("dataset", path=path)
     given = _given(instrument, path)
-    captures = _captures(path)
+    captures = read_captures(path)
     wanted, _, part = (options.dataset or "").partition(":")
     if not wanted and len(captures) > 1:
         raise FileFormatError(
@@ -137,17 +138,35 @@ def read_json_log(
 def _given(instrument: Instrument | None, path: Path) -> Instrument:
     if instrument is None:
         raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one"
+            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
         )
     return instrument
 
 
-def _table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
-    """Titles in lower case, and the numbers (line, column)."""
+def read_table(path: Path, /) -> tuple[list[str], NDArray[np.float64]]:
+    """Read a table of numbers.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+
+    Returns
+    -------
+    titles : list of str
+        Titles in lower case; none if the first line holds numbers.
+    table : numpy.ndarray, shape (line, column)
+        The numbers.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is no table of numbers.
+    """
     try:
         text = path.read_text("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise FileFormatError(f"{str(path)!r} is no text: {error}") from None
+        raise FileFormatError(f"{str(path)!r} is {what_is(path)}, not text: {error}") from None
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
         raise FileFormatError(f"{str(path)!r} has no lines with numbers")
@@ -168,11 +187,39 @@ def _table(path: Path) -> tuple[list[str], NDArray[np.float64]]:
         )
     try:
         return titles, np.array(cells, dtype=np.float64)
-    except ValueError as error:
-        raise FileFormatError(f"{str(path)!r} holds more than numbers: {error}") from None
+    except ValueError:
+        first = next(cell for line in cells for cell in line if not _is_number(cell))
+        raise FileFormatError(
+            f"{str(path)!r} holds more than numbers: {first!r} stands among them"
+        ) from None
 
 
-def _captures(path: Path) -> list[dict[str, Any]]:
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def read_captures(path: Path, /) -> list[dict[str, Any]]:
+    """Read the captures of a log.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Path of the file.
+
+    Returns
+    -------
+    list of dict
+        Entries of each capture.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is not JSON, or there is no capture in it.
+    """
     try:
         text = path.read_text("utf-8-sig")
         try:

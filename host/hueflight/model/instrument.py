@@ -24,8 +24,11 @@ from hueflight.errors import InstrumentError, InstrumentNotFoundError
 from hueflight.model.instrument_text import facts_html, instrument_facts, instrument_toml
 from hueflight.model.pulses import Pulse, gaussian_sigma
 from hueflight.model.time_bins import TimeBins
+from hueflight.model.validation_text import plain_reason
+from hueflight.recognition import what_is
 
 SPEED_OF_LIGHT_M_PER_NS = 0.299792458  #: exact, SI
+SHORTEST_NM = 50.0  #: light of shorter waves was stated in micrometers
 USUAL_FWHM_NM = 20.0  #: of an LED whose emission spectrum is not stated
 
 
@@ -225,6 +228,11 @@ class Band(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
         for name in ("wavelength_nm", "pulse_fwhm_ns", "emission_fwhm_nm", "power_mw"):
             if (value := getattr(self, name)) is not None:
                 _positive(f"band {self.name!r}: {name}", value)
+        if self.wavelength_nm < SHORTEST_NM:
+            raise InstrumentError(
+                f"band {self.name!r}: wavelength_nm = {self.wavelength_nm:g}: give it in "
+                f"nanometers, such as {self.wavelength_nm * 1000:g} for {self.wavelength_nm:g} µm"
+            )
         _not_negative(f"band {self.name!r}: pulse_tail_ns", self.pulse_tail_ns)
         if not self.delays_ns:
             raise InstrumentError(f"band {self.name!r}: delay_ns is empty: give at least one delay")
@@ -336,6 +344,12 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
                     f"band {band.name!r}: delay_ns = {band.delay_ns} lies outside the period "
                     f"of {period} ns"
                 )
+        if self.sensor.bin_width_ns > period:
+            raise InstrumentError(
+                f"sensor.bin_width_ns = {self.sensor.bin_width_ns:g} is longer than the period of "
+                f"{period:g} ns: give both in nanoseconds, such as "
+                f"{self.sensor.bin_width_ns / 1000:g} for bins of {self.sensor.bin_width_ns:g} ps"
+            )
         needed = TimeBins.codes_needed(period, self.sensor.bin_width_ns)
         usable = self.sensor.codes - self.sensor.reports_empty
         if needed > usable:
@@ -393,8 +407,18 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
                 f"no instrument {str(source)!r}: neither a file nor one of the presets "
                 f"{', '.join(cls.presets())}"
             ) from None
-        except (OSError, UnicodeDecodeError) as error:
-            raise InstrumentError(f"can't read instrument file {str(path)!r}: {error}") from None
+        except (IsADirectoryError, UnicodeDecodeError):
+            raise InstrumentError(
+                f"{str(path)!r} is {what_is(path)}, not the description of an instrument: give a "
+                f"TOML file or one of the presets {', '.join(cls.presets())}"
+            ) from None
+        except OSError as error:
+            reason = error.strerror or error
+            raise InstrumentError(f"can't read instrument file {str(path)!r}: {reason}") from None
+        if not text.strip():
+            raise InstrumentError(
+                f"{str(path)!r} is an empty file: hueflight instrument new describes an instrument"
+            )
         return cls.from_toml(text, where=str(path))
 
     @classmethod
@@ -425,7 +449,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         except msgspec.ValidationError as error:
             # a check of ours arrives wrapped, with its own words as the cause
             cause = error.__cause__ if isinstance(error.__cause__, InstrumentError) else error
-            raise InstrumentError(f"{where}: {cause}") from None
+            raise InstrumentError(f"{where}: {plain_reason(str(cause))}") from None
 
     @classmethod
     def from_json(cls, text: str | bytes, *, where: str = "instrument") -> Instrument:
@@ -455,7 +479,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         except msgspec.DecodeError as error:
             # a check of ours arrives wrapped, with its own words as the cause
             cause = error.__cause__ if isinstance(error.__cause__, InstrumentError) else error
-            raise InstrumentError(f"{where}: {cause}") from None
+            raise InstrumentError(f"{where}: {plain_reason(str(cause))}") from None
 
     def to_json(self) -> str:
         """Write the whole description as JSON.

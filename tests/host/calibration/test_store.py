@@ -106,13 +106,13 @@ def test_what_is_no_store(tmp_path, content):
         path.mkdir()
     else:
         path.write_text("no Zarr")
-    with pytest.raises(CalibrationError, match="is not a calibration: Zarr can't open it"):
+    with pytest.raises(CalibrationError, match=r"is a (folder|text file), not a calibration"):
         hf.Calibration.load(path)
 
 
 def test_a_foreign_store(tmp_path):
     zarr.create_group(tmp_path / "other.zarr").attrs["title"] = "weather"
-    with pytest.raises(CalibrationError, match="Zarr store whose format is None"):
+    with pytest.raises(CalibrationError, match="is a Zarr store, not a calibration"):
         hf.Calibration.load(tmp_path / "other.zarr")
 
 

@@ -170,11 +170,11 @@ def test_one_led_at_a_time_goes_into_a_calibration(bench: Path, run) -> None:
         (["simulate", "-o", "x.npz", "--instrument", "papper"], "no instrument 'papper'"),
         (
             ["calibrate", "foreign.npz", "-d", "0.4", "-o", "c.zarr"],
-            "'foreign.npz' is not an .npz file",
+            "'foreign.npz' is a text file, not a ZIP archive (.npz)",
         ),
         (
             ["calibrate", "text.txt", "-d", "0.4", "-o", "c.zarr"],
-            "ends in '.txt': counts are read from",
+            "'text.txt' is a text file, and counts are not read from files that end in '.txt'",
         ),
         (["calibrate", "bare.npy", "-d", "0.4", "-o", "c.zarr"], "does not say which instrument"),
         (

@@ -14,6 +14,7 @@ import ptufile
 import pytest
 import zarr
 from numpy.typing import NDArray
+from scipy.io import savemat
 
 import hueflight as hf
 from hueflight import simulator
@@ -33,9 +34,18 @@ KINDS = {
     "image.nc": "image",
     "camera.toml": "instrument description",
     "counts.ptu": "PicoQuant PTU file",
+    "counts.mat": "MATLAB file",
+    "counts73.mat": "MATLAB file",
+    "counts.csv": "table of numbers",
+    "log.json": "log of a time-of-flight module",
 }
 #: formats without checksums: damage may go unnoticed, and the result says so
-WITHOUT_CHECKSUMS = ("counts.npy", "counts.zarr", "counts.h5", "image.nc", "counts.ptu")
+WITHOUT_CHECKSUMS = (
+    "counts.npy", "counts.zarr", "counts.h5", "image.nc", "counts.ptu", "counts.mat",
+    "counts73.mat", "counts.csv", "log.json",
+)  # fmt: skip
+#: kinds that have no description apart from their content
+READ_AT_ONCE = ("camera.toml", "counts.csv", "log.json")
 TOML = """
 name = "camera"
 [sensor]
@@ -79,6 +89,12 @@ def files(
     for name in ("image.zarr", "image.nc"):
         write(image, folder / name)
     (folder / "camera.toml").write_text(TOML)
+    savemat(folder / "counts.mat", {"counts": counts, "bin_width_ns": 0.5})
+    with h5py.File(folder / "counts73.mat", "w", userblock_size=512) as file:
+        file["counts"] = counts.T
+    np.savetxt(folder / "counts.csv", counts.reshape(12, -1), "%d", delimiter=",")
+    log = [{"hists": [[1, 2, 3]] * 4, "reference_hist": [5, 6, 7]}] * 2
+    (folder / "log.json").write_text(json.dumps(log))
     photons = np.random.default_rng(1).poisson(0.8, (4, 3, 125)).astype(np.uint16)
     ptufile.imwrite(
         folder / "counts.ptu", photons, global_resolution=50e-9, tcspc_resolution=0.4e-9
@@ -106,7 +122,7 @@ def test_every_kind_of_file_is_described_and_checked(files: Path, info: Info, na
     code, found, _ = info(files / name)
     assert code == 0
     assert found["kind"] == KINDS[name]
-    if name == "camera.toml":
+    if name in READ_AT_ONCE:
         assert found["whole"] is True
     else:
         assert found["whole"] is None
@@ -243,3 +259,33 @@ def test_the_table_says_that_contents_were_not_checked(
         shown = " ".join(capsys.readouterr().out.split())
         assert words in shown
         assert "complete" not in shown
+
+
+def test_files_of_other_programs_say_what_they_hold(files: Path, info: Info) -> None:
+    shown = info(files / "counts.mat")[1]["arrays"]
+    same = info(files / "counts73.mat")[1]["arrays"]
+    assert shown["counts"].startswith("4 × 3 × ")
+    assert same["counts"].split(" uint")[0] == shown["counts"].split(" uint")[0]
+    table = info(files / "counts.csv")[1]
+    assert (table["lines"], table["sum_of_numbers"]) == (
+        12, np.loadtxt(files / "counts.csv", delimiter=",").sum()
+    )  # fmt: skip
+    log = info(files / "log.json")[1]
+    assert (log["captures"], log["zones_and_bins"], log["reference"]) == (2, "4 × 3", True)
+
+
+def test_damage_in_files_of_other_programs_is_found(
+    files: Path, info: Info, tmp_path: Path
+) -> None:
+    whole = (files / "counts.mat").read_bytes()
+    (tmp_path / "cut.mat").write_bytes(whole[: len(whole) // 2])
+    code, found, message = info(tmp_path / "cut.mat", "--check")
+    assert code in (1, 3)
+    assert message or found["whole"] is False
+    (tmp_path / "uneven.json").write_text('{"hists": [[1, 2], [3]]}\n{"hists": [[1, 2], [3, 4]]}')
+    code, found, _ = info(tmp_path / "uneven.json")
+    assert (code, found["whole"]) == (3, False)
+    (tmp_path / "uneven.csv").write_text("1,2\n3\n")
+    code, _, message = info(tmp_path / "uneven.csv")
+    assert code == 1
+    assert "lines have from 1 to 2 columns" in message

@@ -85,14 +85,15 @@ def test_damage_is_named(image: xr.Dataset, tmp_path: Path) -> None:
     whole = (tmp_path / "a.nc").read_bytes()
     for keep in (0, 100, len(whole) // 2):
         (tmp_path / "a.nc").write_bytes(whole[:keep])
-        with pytest.raises(FileFormatError, match=r"a\.nc.*can't be read as an image"):
+        with pytest.raises(FileFormatError, match=r"a\.nc.*(is an empty file|can't be read as)"):
             read_image(tmp_path / "a.nc")
 
 
 def test_what_is_no_image(image: xr.Dataset, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="there is no such file"):
         read_image(tmp_path / "a.zarr")
-    with pytest.raises(FileFormatError, match=r"a Zarr store \(\.zarr\) or a NetCDF file"):
+    (tmp_path / "a.tif").write_bytes(b"II*\x00")
+    with pytest.raises(FileFormatError, match=r"is a TIFF file, not an image: give NAME\.zarr"):
         read_image(tmp_path / "a.tif")
     (tmp_path / "b.zarr").mkdir()
     with pytest.raises(FileFormatError, match=r"b\.zarr"):

@@ -303,5 +303,6 @@ def test_damaged_files_are_named(
     whole = path.read_bytes()
     for keep in (0, 20, 120):
         path.write_bytes(whole[:keep])
-        with pytest.raises(FileFormatError, match=f"can't be read as {ending.upper()}"):
+        said = rf"is an empty file|can't be read as .* {ending.upper()} file"
+        with pytest.raises(FileFormatError, match=said):
             read_counts(path, camera)

@@ -111,10 +111,10 @@ def test_a_name_does_not_change_the_fingerprint_but_a_delay_does() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("name =", "nam ="), r"unknown field `nam`"),
-        (("rows = 2", "rows = 2\nfilter = 1"), r"unknown field `filter` - at `\$\.sensor`"),
-        (("wavelength_nm = 525", ""), r"missing required field `wavelength_nm`"),
-        (("rows = 2", 'rows = "two"'), r"Expected `int`, got `str` - at `\$\.sensor\.rows`"),
+        (("name =", "nam ="), r"there is no entry 'nam'"),
+        (("rows = 2", "rows = 2\nfilter = 1"), r"sensor: there is no entry 'filter'"),
+        (("wavelength_nm = 525", ""), r"bands: the entry 'wavelength_nm' is missing"),
+        (("rows = 2", 'rows = "two"'), r"sensor\.rows: a whole number is needed, not text"),
         (("rows = 2", "rows = 0"), r"sensor\.rows = 0: must be at least 1"),
         (("rows = 2", "rows = 2048"), r"2048 × 3 pixels.*split the sensor or use scan_steps"),
         (("code_bits = 8", "code_bits = 17"), r"sensor\.code_bits = 17: must be 1 to 16"),

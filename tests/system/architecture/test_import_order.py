@@ -20,6 +20,7 @@ ORDER = (
     "errors",
     "lazy",
     "memory",
+    "recognition",
     "model",
     "backend",
     "files",

@@ -5,6 +5,7 @@ from hueflight.export.description import describe
 from hueflight.export.envi import write_envi
 from hueflight.export.formats import FORMATS, Format, write
 from hueflight.export.foxglove import write_foxglove
+from hueflight.export.foxglove_recording import add_foxglove_channels
 from hueflight.export.histograms import write_histogram
 from hueflight.export.las import write_las
 from hueflight.export.ome import write_ome_tiff
@@ -20,6 +21,7 @@ __all__ = [
     "FORMATS",
     "Format",
     "Points",
+    "add_foxglove_channels",
     "describe",
     "image_points",
     "write",

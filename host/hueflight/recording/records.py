@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import TypeVar
@@ -28,6 +28,7 @@ from mcap.records import (
     McapRecord,
     MessageIndex,
     MetadataIndex,
+    Schema,
     Statistics,
     SummaryOffset,
 )
@@ -164,10 +165,17 @@ def encode_summary(
     chunks: list[ChunkIndex],
     attachments: list[AttachmentIndex],
     metadata: list[MetadataIndex],
+    *,
+    schemas: Sequence[Schema] = (),
+    channels: Sequence[Channel] = (),
 ) -> bytes:
-    """Return the end of a file whose summary begins at byte `start`: summary, footer, magic."""
+    """Return the end of a file whose summary begins at byte `start`: summary, footer, magic.
+
+    `channels` are those besides the one of the packets, and `schemas` theirs.
+    """
     groups: list[tuple[Opcode, bytes]] = [
-        (Opcode.CHANNEL, encode(channel)),
+        (Opcode.SCHEMA, encode(*schemas)),
+        (Opcode.CHANNEL, encode(channel, *channels)),
         (Opcode.STATISTICS, encode(statistics)),
         (Opcode.CHUNK_INDEX, encode(*chunks)),
         (Opcode.ATTACHMENT_INDEX, encode(*attachments)),

@@ -224,7 +224,6 @@ def test_calibrated_pictures_have_the_values_of_the_reconstruction(
         picture = next(each for each in pictures if "depth" in each)
         # no pixel of an exposure keeps what was estimated from more photons before
         long, short = camera.expose(480, timeout_s=120), camera.expose(48, timeout_s=120)
-        assert not (short.quality.values & hf.Quality.SKIPPED).any()
         ratio = long.photons.values.sum() / short.photons.values.sum()
         assert ratio == pytest.approx(long.attrs["frames"] / short.attrs["frames"], rel=0.05)
         camera.expose(0, timeout_s=120)

@@ -147,12 +147,14 @@ def main(folders: list[str]) -> int:
     public = exported(module_name(path) for path in everything if path.name == "__init__.py")
     count = 0
     for path in everything:
+        if not any(folder == path or folder in path.parents for folder in wanted):
+            continue
         if not can_be_imported(path):
             print(f"{path.relative_to(ROOT)}: not checked: its program is not installed")
-        elif any(folder == path or folder in path.parents for folder in wanted):
-            for finding in findings(path, public):
-                print(finding)
-                count += 1
+            continue
+        for finding in findings(path, public):
+            print(finding)
+            count += 1
     print(f"{count} findings")
     return 1 if count else 0
 

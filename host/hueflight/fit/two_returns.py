@@ -17,19 +17,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.fit.reference import FLOOR_PHOTONS, FLOOR_SHARE, RIDGE
-from hueflight.fit.tables import DelayTables, ModelTables
+from hueflight.fit.surfaces import (
+    Surfaces,
+    dense_rows,
+    polish_amplitudes,
+    score_surfaces,
+)
+from hueflight.fit.tables import ModelTables
 
 LEAST_STEPS = 2  #: of the grid between the delays of a pair
 SEARCH_ROUNDS = 3  #: of expectation maximisation for each pair
 ACCELERATED = 1.5  #: exponent of its factors but in the last round
 CANDIDATES = 10  #: pairs that are refined
 WIDE_STEPS, FINE_STEPS = 5, 3  #: of scoring
-MOST_MOVES = 20  #: a delay moves by this part of the searched range at most in a step
-POLISH_ROUNDS = 4  #: of expectation maximisation after scoring, which keeps amplitudes positive
 START_BACKGROUND = 0.2  #: share of the counts
 ROUGHNESS = 0.5  #: typical change of a reflectance's logarithm from band to band
-CHUNK_PIXELS = 16  #: pixels whose pairs are looked at together, which bounds the memory it takes
+CHUNK = 64  #: pixels that are fitted together, which bounds the memory it takes,
+CHUNK_PIXELS = 16  #: and of which all pairs are looked at together
 
 _Floats = NDArray[np.float64]
 
@@ -85,51 +89,6 @@ class TwoReturns:
         return TwoReturns(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
-@dataclass(frozen=True)
-class _State:
-    """Parameters: delays (n, surface), amplitudes (n, surface, band), background (n,)."""
-
-    delays: _Floats
-    amplitudes: _Floats
-    background: _Floats
-
-    def take(self, chosen: NDArray[np.intp]) -> _State:
-        return _State(self.delays[chosen], self.amplitudes[chosen], self.background[chosen])
-
-
-@dataclass(frozen=True)
-class _Scored:
-    """A state after scoring; variances and information of amplitudes, background and delays.
-
-    `influence` (n, 2, band) is the change of the delays by that of each band's pulse.
-    """
-
-    state: _State
-    variances: _Floats
-    information: _Floats
-    influence: _Floats
-
-    def take(self, chosen: NDArray[np.intp]) -> _Scored:
-        rest = (self.variances[chosen], self.information[chosen], self.influence[chosen])
-        return _Scored(self.state.take(chosen), *rest)
-
-    def where(self, kept: NDArray[np.bool_], other: _Scored) -> _Scored:
-        def choice(mine: _Floats, theirs: _Floats) -> _Floats:
-            return np.where(kept.reshape(-1, *(1,) * (mine.ndim - 1)), mine, theirs)
-
-        state = _State(
-            choice(self.state.delays, other.state.delays),
-            choice(self.state.amplitudes, other.state.amplitudes),
-            choice(self.state.background, other.state.background),
-        )
-        return _Scored(
-            state,
-            choice(self.variances, other.variances),
-            choice(self.information, other.information),
-            choice(self.influence, other.influence),
-        )
-
-
 def fit_two_returns(
     light: NDArray[np.floating],
     offsets_ns: _Floats,
@@ -154,22 +113,34 @@ def fit_two_returns(
     TwoReturns
         Result for each pixel, whether or not it sees two surfaces.
     """
+    white = np.asarray(brightness, np.float64) / np.sum(brightness)
+    parts = [
+        _fit_chunk(light[first : first + CHUNK], offsets_ns[first : first + CHUNK], tables, white)
+        for first in range(0, max(len(light), 1), CHUNK)
+    ]
+    names = TwoReturns.__dataclass_fields__
+    return TwoReturns(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+
+
+def _fit_chunk(
+    light: NDArray[np.floating], offsets_ns: _Floats, tables: ModelTables, white: _Floats
+) -> TwoReturns:
+    """Fit two surfaces to a few pixels."""
     fine = tables.fine.summed(np.asarray(light, np.float64))
     wide = tables.search.summed(fine)
-    white = np.asarray(brightness, np.float64) / np.sum(brightness)
     low, high = ((offsets_ns + bound)[:, None] for bound in tables.search_ns)
     pixel, pairs = _candidates(wide, tables, white)
-    coarse = _scored(wide[pixel], pairs, tables.wide, low[pixel], high[pixel], WIDE_STEPS)
-    polished, likelihood, _ = _polished(wide[pixel], coarse.state, tables.wide)
+    coarse = score_surfaces(wide[pixel], pairs, tables.wide, low[pixel], high[pixel], WIDE_STEPS)
+    polished, likelihood, _ = polish_amplitudes(wide[pixel], coarse.state, tables.wide)
     variances = coarse.variances[:, :-3].reshape(polished.amplitudes.shape)
     score = likelihood - _roughness(polished.amplitudes, variances, white)
     chosen = _best(score, pixel, len(fine))
     coarse, before = coarse.take(chosen), likelihood[chosen]
-    scored = _scored(fine, polished.take(chosen), tables.fine, low, high, FINE_STEPS)
-    likelihood = _polished(wide, scored.state, tables.wide)[1]
+    scored = score_surfaces(fine, polished.take(chosen), tables.fine, low, high, FINE_STEPS)
+    likelihood = polish_amplitudes(wide, scored.state, tables.wide)[1]
     # where pulses of both surfaces coincide, scoring may leave the maximum
     scored = scored.where(likelihood > before - 1, coarse)
-    _, likelihood, mean = _polished(wide, scored.state, tables.wide)
+    _, likelihood, mean = polish_amplitudes(wide, scored.state, tables.wide)
     freedom = max(wide.shape[-1] - 2 * tables.bands - 3, 1)
     state, variances = scored.state, scored.variances
     order = np.argsort(state.delays, axis=1)
@@ -223,8 +194,8 @@ def one_surface_likelihood(
         The log-likelihood, but for a constant that the counts determine.
     """
     wide = tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
-    state = _State(arrival_ns[:, None], amplitudes[:, None], background)
-    return _polished(wide, state, tables.wide)[1]
+    state = Surfaces(arrival_ns[:, None], amplitudes[:, None], background)
+    return polish_amplitudes(wide, state, tables.wide)[1]
 
 
 def best_single(
@@ -255,26 +226,20 @@ def best_single(
     best = np.full(len(wide), -np.inf)
     arrival, amplitudes = np.zeros(len(wide)), start[:, 0].copy()
     for delay in tables.search.lags_ns:
-        state = _State(np.full((len(wide), 1), delay), start, wide.sum(axis=-1) - photons)
-        state, likelihood, _ = _polished(wide, state, tables.wide)
+        state = Surfaces(np.full((len(wide), 1), delay), start, wide.sum(axis=-1) - photons)
+        state, likelihood, _ = polish_amplitudes(wide, state, tables.wide)
         better = likelihood > best
         best[better], arrival[better] = likelihood[better], delay
         amplitudes[better] = state.amplitudes[better, 0]
     return arrival, amplitudes
 
 
-def _dense(rows: NDArray[np.intp], level: DelayTables, values: NDArray) -> NDArray[np.float32]:
-    """Rows of tables (n, band, bin) of given delays; each of them is made once."""
-    some, place = np.unique(rows, return_inverse=True)
-    return np.stack([level.tiles.dense(values, int(row)) for row in some])[place.reshape(-1)]
-
-
 def _candidates(
     wide: _Floats, tables: ModelTables, white: _Floats
-) -> tuple[NDArray[np.intp], _State]:
+) -> tuple[NDArray[np.intp], Surfaces]:
     """Pixels and pairs to refine: the best local maxima of the likelihood over the grid."""
     level, grid = tables.wide, tables.search.lags_ns
-    shares = _dense(level.phase_of(grid), level, level.tiles.shares)
+    shares = dense_rows(level.phase_of(grid), level, level.tiles.shares)
     near, far = np.triu_indices(grid.size, LEAST_STEPS)
     flat = np.broadcast_to(level.widths, (near.size, 1, level.widths.size))
     linear = np.concatenate([shares[near], shares[far], flat], axis=1)
@@ -300,7 +265,7 @@ def _candidates(
     theta, pair = np.concatenate(thetas), np.concatenate(chosen)
     amplitudes = theta[:, :-1].reshape(len(theta), 2, -1)
     delays = np.stack([grid[near[pair]], grid[far[pair]]], axis=1)
-    return np.concatenate(pixels), _State(delays, amplitudes, theta[:, -1])
+    return np.concatenate(pixels), Surfaces(delays, amplitudes, theta[:, -1])
 
 
 def _peaks(
@@ -338,68 +303,3 @@ def _best(score: _Floats, pixel: NDArray[np.intp], pixels: int) -> NDArray[np.in
     order = np.lexsort((score, pixel))
     last = np.searchsorted(pixel[order], np.arange(pixels), side="right") - 1
     return order[last]
-
-
-def _linear(state: _State, level: DelayTables) -> _Floats:
-    """Shares (n, surface · band + 1, bin) at tabulated delays, those of the background last."""
-    shape = len(state.delays), -1, level.widths.size
-    shares = _dense(level.phase_of(state.delays).ravel(), level, level.tiles.shares)
-    flat = np.broadcast_to(level.widths, (len(state.delays), 1, level.widths.size))
-    return np.concatenate([shares.reshape(shape), flat], axis=1).astype(np.float64)
-
-
-def _scored(
-    counts: _Floats, state: _State, level: DelayTables, low: _Floats, high: _Floats, steps: int
-) -> _Scored:
-    """Steps of Fisher's scoring, as in the fit of one surface."""
-    total = counts.sum(axis=-1)
-    floor = FLOOR_PHOTONS + FLOOR_SHARE * total
-    most_ns = (high - low) / MOST_MOVES
-    variances = information = influence = np.empty(0)
-    for step in range(steps):
-        phases = level.phase_of(state.delays)
-        linear = _linear(state, level)
-        slopes = _dense(phases.ravel(), level, level.tiles.slopes)
-        amplitudes = np.maximum(state.amplitudes, 0.0)
-        moved = amplitudes[..., None] * slopes.reshape(*amplitudes.shape, -1)
-        theta = amplitudes.reshape(len(counts), -1)
-        theta = np.column_stack([theta, np.maximum(state.background, floor)])
-        model = np.concatenate([linear, moved.sum(axis=2)], axis=1)
-        weighted = model / (theta[:, None] @ linear)
-        normal = weighted @ model.transpose(0, 2, 1)
-        # a delay may be anywhere in the searched range, and a band has no more than was counted
-        diagonal = np.einsum("paa->pa", normal)
-        diagonal[:, -2:] += 12 / (high - low) ** 2
-        diagonal[:, :-2] += ((2 * total + 10) ** -2.0)[:, None]
-        information = diagonal.copy()
-        scale = 1 / np.sqrt(information)
-        both = scale[:, :, None] * scale[:, None, :]
-        inverse = np.linalg.inv(normal * both + RIDGE * np.eye(normal.shape[-1])) * both
-        solution = (inverse @ (weighted @ counts[..., None]))[..., 0]
-        moves = np.clip(solution[:, -2:], -most_ns, most_ns)
-        delays = np.clip(level.first_ns + phases * level.phase_ns + moves, low, high)
-        state = _State(delays, solution[:, :-3].reshape(amplitudes.shape), solution[:, -3])
-        if step == steps - 1:
-            variances = np.einsum("paa->pa", inverse).copy()
-            pulls = weighted @ moved.sum(axis=1).transpose(0, 2, 1)  # of both surfaces' bands
-            influence = inverse[:, -2:] @ pulls
-    return _Scored(state, variances, information, influence)
-
-
-def _polished(
-    counts: _Floats, state: _State, level: DelayTables
-) -> tuple[_State, _Floats, _Floats]:
-    """Amplitudes that are not negative, their log-likelihood and the expected counts."""
-    linear = _linear(state, level)
-    total = counts.sum(axis=-1)
-    whole = np.maximum(linear.sum(axis=-1), 1e-3)
-    least = (1e-3 * total)[:, None]
-    theta = np.column_stack([state.amplitudes.reshape(len(counts), -1), state.background])
-    theta = np.maximum(theta, least)
-    for _ in range(POLISH_ROUNDS):
-        mean = (theta[:, None] @ linear)[:, 0]
-        theta = theta * (linear @ (counts / mean)[..., None])[..., 0] / whole
-    mean = (theta[:, None] @ linear)[:, 0]
-    likelihood = (counts * np.log(mean)).sum(axis=-1) - mean.sum(axis=-1)
-    amplitudes = theta[:, :-1].reshape(state.amplitudes.shape)
-    return _State(state.delays, amplitudes, theta[:, -1]), likelihood, mean

@@ -282,6 +282,18 @@ def test_reconstruct_separates_two_colors_by_their_counts(with_lens, range_corre
     )  # fmt: skip
 
 
+def test_counts_on_disk_give_the_same(with_lens, tmp_path):
+    instrument, calibration = with_lens
+    near, far = waveform(instrument, 1.0, "ink red"), waveform(instrument, 1.2, "ink blue")
+    counts = drawn(instrument, disc_share(7)[..., None] * (near - far) + far, 7)
+    np.save(tmp_path / "counts.npy", counts)
+    stored = np.load(tmp_path / "counts.npy", mmap_mode="r")
+    image, other = (hf.reconstruct(given, calibration) for given in (counts, stored))
+    assert is_mixed(image).any()
+    for name in image.data_vars:
+        np.testing.assert_array_equal(image[name].values, other[name].values)
+
+
 def test_a_part_of_the_picture_and_methods_that_find_none(with_lens, calibrated):
     args = (with_lens, disc_share(6), 0.8, (1.0, 1.0), 6)
     part = lens_image(*args, region=np.s_[:, :30])

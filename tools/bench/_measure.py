@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import json
+import platform
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +31,33 @@ def best_of(
             run()
             best[name] = min(best[name], time.perf_counter() - start)
     return best
+
+
+def limits(*, megabytes: int = 64) -> dict[str, float]:
+    """Seconds that this machine takes at best to read and to copy so much memory, one thread."""
+    data = np.ones(megabytes << 17)  # float64
+    copy = np.empty_like(data)
+    name = f"{megabytes} MB"
+    return best_of(
+        {f"reading {name}": data.sum, f"copying {name}": lambda: np.copyto(copy, data)}, rounds=5
+    )
+
+
+def save(path: Path, tables: dict[str, dict[str, float]], *, kernel: str) -> None:
+    """Write the seconds of every row of every table, with what they were measured on, as JSON."""
+    about = {"kernel": kernel, "machine": platform.machine(), "processor": processor()}
+    record = {"format": 1, **about, "limits": limits(), "tables": tables}
+    path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+def processor() -> str:
+    """Name of the processor, as far as the system tells."""
+    listed = Path("/proc/cpuinfo")
+    if listed.exists():
+        for line in listed.read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()
 
 
 def uniform_codes(

@@ -3,6 +3,7 @@
 
     python3 tools/dev.py bench reconstruction                    all of it, about a minute
     python3 tools/dev.py bench reconstruction methods skips      some sections
+    python3 tools/dev.py bench reconstruction --json new.json    also as a file, for `bench compare`
 
 24 576 pixels (the paper's chip), 620 photons each and 10 % background unless a row says otherwise,
 one thread unless it says two. Every table has its references from the same run: `read` sums the
@@ -13,9 +14,10 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
-from _measure import PIXELS, best_of, packets_of, table
+from _measure import PIXELS, best_of, packets_of, save, table
 from numpy.typing import NDArray
 
 import hueflight as hf
@@ -39,6 +41,7 @@ PHOTONS, BACKGROUND = 620, 62
 
 instrument = hf.Instrument.load("paper")
 rng = np.random.default_rng(1)
+measured: dict[str, dict[str, float]] = {}  # seconds of every row, by section
 
 
 def drawn(photons: float, background: float, *, distance: float = 0.9) -> NDArray[np.uint16]:
@@ -75,6 +78,7 @@ def rows_of(seconds: dict[str, float], against: str) -> list[list[str]]:
 
 def show(title: str, seconds: dict[str, float], against: str) -> None:
     """Print one section."""
+    measured[title] = seconds
     head = ["", "ms an image", "Mpixel/s", "× RT", f"× '{against}'"]
     print(f"\n## {title}\n\n{table(head, rows_of(seconds, against))}", flush=True)
 
@@ -200,15 +204,20 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("sections", nargs="*", help=", ".join(SECTIONS))
-    wanted = parser.parse_args().sections or list(SECTIONS)
+    parser.add_argument("--json", type=Path, help="file for `bench compare`")
+    given = parser.parse_args()
+    wanted = given.sections or list(SECTIONS)
     unknown = [name for name in wanted if name not in SECTIONS]
     if unknown:
         parser.error(f"no section {unknown[0]!r}; there are {', '.join(SECTIONS)}")
     lanes = getattr(backend.compiled("fit"), "LANES", 1)
-    print(f"kernel: {backend.describe()['fit']}, {lanes} lanes")
+    kernel = f"{backend.describe()['fit']}, {lanes} lanes"
+    print(f"kernel: {kernel}")
     calibration = calibrated()
     for name in wanted:
         SECTIONS[name](calibration)
+    if given.json:
+        save(given.json, measured, kernel=kernel)
 
 
 if __name__ == "__main__":

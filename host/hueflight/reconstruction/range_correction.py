@@ -102,7 +102,8 @@ def widened(
         Standard deviation by both.
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # no depth, no reflectance
-        return np.hypot(deviation, 2 * reflectance * (depth_std / np.abs(depth)))
+        by_range = reflectance * (2 * depth_std / np.abs(depth))
+        return np.sqrt(deviation**2 + by_range**2)
 
 
 def attributes(corrected: bool) -> dict[str, str]:

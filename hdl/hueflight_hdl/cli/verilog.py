@@ -8,7 +8,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from ..boards.ecp5_illuminator import ecp5_config
+from ..boards.settings import check_settings, set_illuminator
+from ..boards.target import TargetError
 from ..boards.targets import find_target
+from ..build.core import write_core
 from ..build.project import estimate, write_project
 from .app import Progress, app
 from .options import read_options
@@ -19,7 +23,8 @@ def verilog(
     design: str,
     /,
     *,
-    board: str,
+    board: str | None = None,
+    core: bool = False,
     folder: Path | None = None,
     pins: Path | None = None,
     lanes: int | None = None,
@@ -27,7 +32,7 @@ def verilog(
     design_file: Path | None = None,
     count: bool = False,
 ) -> None:
-    """Write a design as a Verilog project with constraints and build scripts.
+    """Write a design as a Verilog project with constraints and build scripts, or without a board.
 
     Parameters
     ----------
@@ -36,8 +41,11 @@ def verilog(
     board
         Board to write the project for, for example ulx3s-85f, the paper's xem3010 or xem6310, or
         the path of a board file.
+    core
+        Write the illuminator without a board: one Verilog file without vendors' primitives, the
+        list of its ports, and a testbench that checks itself in Icarus Verilog and Verilator.
     folder
-        Output folder. The default is build/DESIGN-BOARD-project.
+        Output folder. The default is build/DESIGN-BOARD-project, or build/DESIGN-core.
     pins
         TOML file with the FPGA pins, required for boards whose wiring depends on the builder.
     lanes
@@ -51,6 +59,15 @@ def verilog(
         Estimate the resources with yosys and print them.
     """
     progress = Progress()
+    if core or board is None:
+        options = read_options(words=set_, design_file=design_file)
+        if not core or board is not None or design != "illuminator":
+            raise TargetError("give either --board, or --core for the illuminator")
+        progress(f"writing {design} without a board")
+        config = set_illuminator(ecp5_config(), check_settings(design, options.settings))
+        for path in write_core(config, folder or Path("build") / f"{design}-core"):
+            print(path)
+        return
     target = find_target(
         design,
         board,

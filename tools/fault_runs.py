@@ -35,12 +35,13 @@ from support.fault_runs.machine import LATE_S  # noqa: E402
 from support.fault_runs.run import FaultResult, fault_run  # noqa: E402
 
 NICENESS = 10
+RUNS_EACH = 20  #: of a process; then another one takes its place
 
 
 def results(seeds: Iterator[int], *, jobs: int, build: Path, keep: bool) -> Iterator[FaultResult]:
     """Results of the runs of these seeds, as they come."""
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=RUNS_EACH) as pool:
         running: set[Future[FaultResult]] = set()
         while True:
             for seed in itertools.islice(seeds, jobs - len(running)):

@@ -63,7 +63,7 @@ def fault_run(seed: int, build: Path, *, keep: bool = False) -> FaultResult:
         (folder / "failure.txt").write_text(f"{plan}\n{words}")
     finally:
         if machine is not None:
-            machine.close()
+            failure = failure or _closed(machine)
             (folder / "log.jsonl").write_text("".join(machine.logs))
     if failure:
         failure += f" (see {folder})"
@@ -78,6 +78,15 @@ def fault_run(seed: int, build: Path, *, keep: bool = False) -> FaultResult:
         failure=failure,
         seconds=round(time.monotonic() - began_s, 1),
     )
+
+
+def _closed(machine: Machine) -> str:
+    """Close everything; what is wrong with it, if anything is."""
+    try:
+        machine.close()
+    except (AssertionError, OSError) as error:
+        return f"closing: {error}"
+    return ""
 
 
 def _run(plan: FaultPlan, machine: Machine) -> int:

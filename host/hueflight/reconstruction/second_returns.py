@@ -205,7 +205,7 @@ class _Data:
             [TYPICAL_DELAY_NS, TYPICAL_WIDTH, 1.0, TYPICAL_TAIL], [bands, bands, 1, len(TAILS_NS)]
         )
         scaled = summed.information * np.outer(typical, typical) + np.eye(typical.size)
-        return typical * np.linalg.solve(scaled, typical * summed.score)
+        return np.asarray(typical * np.linalg.solve(scaled, typical * summed.score), np.float64)
 
 
 @dataclass(frozen=True)
@@ -273,11 +273,12 @@ def with_room(estimates: Estimates) -> Estimates:
 
 
 def _copied(estimates: Estimates) -> Estimates:
-    names = Estimates.__dataclass_fields__
-    arrays = {name: getattr(estimates, name) for name in names}
-    return Estimates(
-        **{name: None if values is None else values.copy() for name, values in arrays.items()}
-    )
+    """Return estimates whose arrays may be changed."""
+    arrays = {name: getattr(estimates, name) for name in Estimates.__dataclass_fields__}
+    copies: dict[str, Any] = {
+        name: values.copy() for name, values in arrays.items() if values is not None
+    }
+    return replace(estimates, **copies)
 
 
 def _put(

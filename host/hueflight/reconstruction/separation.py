@@ -92,7 +92,7 @@ def with_both_depths(
     new_std = np.where(found.mixed, found.near_std, depth_std)
     reflectance, reflectance_std = estimates.reflectance, estimates.reflectance_std
     white = estimates.white_photons
-    if fitted.range_correction and edges.row.size:
+    if white is not None and fitted.range_correction and edges.row.size:
         here = np.s_[:, edges.row, edges.col]
         white = np.where(
             found.mixed, fitted.white / relative_range(found.near, calibration) ** 2, white

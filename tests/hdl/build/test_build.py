@@ -103,7 +103,7 @@ def test_ise_boards_are_not_built_here(small, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3000)  # up to eight placements of a few minutes each
-@pytest.mark.parametrize(("board", "reached_with"), [("hx8k", 2), ("ulx3s-85f", 1)])
+@pytest.mark.parametrize(("board", "reached_with"), [("hx8k", 1), ("ulx3s-85f", 1)])
 def test_illuminator_has_its_margin_and_repeats(builder, tmp_path, board, reached_with):
     """Seeds are tried as the command does, but first the one that reached the margin before."""
     target = find_target("illuminator", board)

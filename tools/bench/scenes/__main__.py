@@ -2,16 +2,21 @@
 """What the reconstruction does on scenes, sensors and days as they are: a table of promises.
 
     python3 tools/dev.py bench scenes [GROUP ...] [--quick] [--write]
+    python3 tools/dev.py bench scenes --effects [EFFECT ...] [--write]
+    python3 tools/dev.py bench scenes --pictures
 
 Data come from `outside_model.py`, which shares no code with the project, from the simulator where
 a row says so, and from real captures. `--write` puts the table where the documentation shows it;
-it needs every group. The exit code is 1 if a limit does not hold.
+of some groups or effects alone, it replaces their rows. The exit code is 1 if a limit does not
+hold. `--effects` shows instead what each effect of the simulator does to every method, and
+`--pictures` draws scenes before and after they are tested.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -21,7 +26,9 @@ import clean
 import departures
 import deviations
 import edges
+import effects_table
 import one_pixel
+import pictures
 import pileup
 import pooled_checks
 import returns
@@ -42,15 +49,25 @@ GROUPS: dict[str, Group] = {
     "second-returns": second_returns.rows,
     "one-pixel": one_pixel.rows,
 }
-PAGE = Path(__file__).parents[3] / "docs" / "results" / "scenes.inc"
+RESULTS = Path(__file__).parents[3] / "docs" / "results"
+PAGE, EFFECTS_PAGE = RESULTS / "scenes.inc", RESULTS / "scenes-effects.inc"
+HEAD = ["what", "measured", "limit", "aim", "holds"]
 
 
 def main() -> None:
-    """Measure the groups that were asked for, all by default, and print the table."""
+    """Do what the arguments ask for: by default, measure all groups and print the table."""
     names = [name for name in sys.argv[1:] if not name.startswith("--")]
-    unknown = set(names) - set(GROUPS)
-    if unknown:
-        raise SystemExit(f"no such group: {', '.join(unknown)}; there are {', '.join(GROUPS)}")
+    if "--pictures" in sys.argv:
+        print(pictures.draw())
+    elif "--effects" in sys.argv:
+        _effects(names)
+    else:
+        _promises(names)
+
+
+def _promises(names: list[str]) -> None:
+    """Measure groups and print their rows; exit code 1 if a limit does not hold."""
+    _require_known(names, GROUPS, "group")
     chosen = names or list(GROUPS)
     rows: list[Row] = []
     for name in chosen:
@@ -59,12 +76,38 @@ def main() -> None:
             rows.append(row)
             print(" | ".join(row.cells()), flush=True)
         print(f"({name}: {time.perf_counter() - start:.0f} s)", file=sys.stderr)
-    text = table(["what", "measured", "limit", "aim", "holds"], [row.cells() for row in rows])
     if "--write" in sys.argv:
-        if chosen != list(GROUPS):
-            raise SystemExit("--write needs every group")
-        PAGE.write_text(text)
+        _write(PAGE, HEAD, [row.cells() for row in rows], whole=not names)
     sys.exit(any(row.holds is False for row in rows))
+
+
+def _effects(names: list[str]) -> None:
+    """Measure effects of the simulator and print their rows."""
+    _require_known(names, effects_table.REMEDIES, "effect")
+    lines = []
+    for line in effects_table.lines(names):
+        lines.append(line)
+        print(" | ".join(line), flush=True)
+    if "--write" in sys.argv:
+        _write(EFFECTS_PAGE, effects_table.HEAD, lines, whole=not names)
+
+
+def _require_known(names: list[str], known: Iterable[str], kind: str) -> None:
+    if unknown := sorted(set(names) - set(known)):
+        raise SystemExit(f"no such {kind}: {', '.join(unknown)}; there are {', '.join(known)}")
+
+
+def _write(page: Path, head: list[str], rows: list[list[str]], *, whole: bool) -> None:
+    """Write a table; rows that it has already, by their first cell, are replaced."""
+    kept: dict[str, list[str]] = {}
+    if not whole and page.exists():
+        for line in page.read_text().splitlines()[2:]:
+            cells = [
+                cell.strip()
+                for cell in line.strip().removeprefix("|").removesuffix("|").split(" | ")
+            ]
+            kept[cells[0]] = cells
+    page.write_text(table(head, list((kept | {row[0]: row for row in rows}).values())))
 
 
 if __name__ == "__main__":

@@ -80,8 +80,9 @@ class Result:
 
 
 def lines(names: list[str] | None = None) -> Iterator[list[str]]:
-    """Measure effects, all by default, after a picture without any; yield cells of the table."""
-    yield _line("none", simulator.NamedEffect("as calibrated"))
+    """Measure effects, by default a picture without any and then all; yield cells of the table."""
+    if not names:
+        yield _line("none", simulator.NamedEffect("as calibrated"))
     for name in names or list(simulator.EFFECTS):
         yield _line(name, simulator.EFFECTS[name])
 

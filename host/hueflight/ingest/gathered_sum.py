@@ -80,6 +80,7 @@ class GatheredSum:
         self.frames: NDArray[np.int64] = np.zeros((0, 0), np.int64)
         self.anew: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._total: Counts | None = None
+        self._lent = False  # whether somebody holds the array of the sum, which then stays as it is
         self._young: Counts | None = None  # the latest half, where there is a limit
         self._young_frames = 0
         self._tiles = np.zeros(0)
@@ -107,10 +108,12 @@ class GatheredSum:
         self._add_to_tiles(counts, frames, changed)
         self.anew = self._pixels(changed)
         self.frames = self._pixels(self._tile_frames.astype(np.int64))
-        self._total = self._added(self._total, histogram, int(self._tile_frames.max()))
+        most = int(self._tile_frames.max())
+        self._total = self._added(self._total, histogram, most, in_place=not self._lent)
+        self._lent = False
         if self._limit is not None:
             self._young_frames += frames
-            self._young = self._added(self._young, histogram, self._young_frames)
+            self._young = self._added(self._young, histogram, self._young_frames, in_place=True)
 
     def histogram(self) -> Counts:
         """Return the sum in an array that later histograms do not change.
@@ -127,7 +130,8 @@ class GatheredSum:
         """
         if self._total is None:
             raise IngestError("nothing has been added to the sum: add a histogram first")
-        return self._total.copy()
+        self._lent = True
+        return self._total
 
     def _begin(self, histogram: Counts, counts: NDArray[np.float64]) -> None:
         self.clear()
@@ -148,6 +152,7 @@ class GatheredSum:
             window.clear()
             window.entries = 0
         self._total, self._young = self._young, np.zeros_like(self._young)
+        self._lent = False
         self._young_frames = 0
 
     def _changed(self, counts: NDArray[np.float64], frames: int) -> NDArray[np.bool_]:
@@ -194,11 +199,14 @@ class GatheredSum:
         rows, cols = self._shape
         return np.repeat(np.repeat(tiles, TILE, 0), TILE, 1)[:rows, :cols]
 
-    def _added(self, total: Counts | None, histogram: Counts, most: int) -> Counts:
+    def _added(
+        self, total: Counts | None, histogram: Counts, most: int, *, in_place: bool
+    ) -> Counts:
         """`total` with the histogram added; pixels that begin anew hold it alone."""
         assert total is not None
-        if most > np.iinfo(total.dtype).max:
-            total = total.astype(np.uint32)
-        if self.anew.any():
-            total[self.anew] = 0
-        return np.add(total, histogram, out=total, casting="unsafe")
+        few = most <= np.iinfo(total.dtype).max
+        dtype = total.dtype if few else np.dtype(np.uint32)
+        out = total if in_place and few else np.empty(total.shape, dtype)
+        np.add(total, histogram, out=out, dtype=dtype, casting="unsafe")
+        out[self.anew] = histogram[self.anew]
+        return out

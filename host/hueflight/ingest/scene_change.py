@@ -200,14 +200,7 @@ def _significance(
     ratio: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Greatest significance of all contrasts, shape (row, col) of arrays (row, col, group)."""
-    size = -(-seen.shape[-1] // WINDOWS)
-    starts = np.arange(0, seen.shape[-1], size)
-    counts = [
-        np.concatenate(
-            [np.add.reduceat(part, starts, axis=-1), part.sum(axis=-1, keepdims=True)], axis=-1
-        )
-        for part in (seen, expected, spread)
-    ]
+    counts = [_in_windows(part) for part in (seen, expected, spread)]
     return np.maximum(
         count_significance(*counts, ratio[..., None]).max(axis=-1),
         _shift_significance(seen, expected, spread),
@@ -231,6 +224,16 @@ def _shift_significance(
     variance = information + (weights**2 * spread).sum(axis=-1)
     variance += (SHIFT_TOLERANCE * information) ** 2
     return np.abs(shift) / np.sqrt(np.where(variance > 0, variance, np.inf))
+
+
+def _in_windows(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums over each window of groups, and last over all groups."""
+    size = -(-counts.shape[-1] // WINDOWS)
+    missing = -counts.shape[-1] % size
+    if missing:
+        counts = np.pad(counts, [(0, 0)] * (counts.ndim - 1) + [(0, missing)])
+    windows = sum(counts[..., first::size] for first in range(size))
+    return np.concatenate([windows, counts.sum(axis=-1, keepdims=True)], axis=-1)
 
 
 def _of_squares(part: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -245,6 +245,35 @@ def test_recordings(page: Any, daemon: Any) -> None:
     page.click("#recordings-close")
 
 
+def test_the_camera_is_set(page: Any) -> None:
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("g")
+    drag(page, (0.05, 0.05), (0.95, 0.95))
+    wait(page, "#region-place", "pixels at row 2, column 1")
+    page.keyboard.press("o")
+    page.fill("#rate", "2000")
+    page.click("#controls-region")
+    page.click("#controls-mask")
+    wait(page, "#masked", "1: 24/17")
+    page.fill("#gate-last", "400")
+    page.click("#controls-dialog .primary")
+    until(lambda: page.daemon.get("/api/controls")["rate_hz"] == 2000, "the camera is set")
+    found = page.daemon.get("/api/controls")
+    assert (found["rows"], found["cols"], found["gate"]) == ([2, 45], [1, 30], [0, 400])
+    assert found["masked"] == [[24, 17]]
+    page.focus("#view")
+    page.keyboard.press("o")
+    page.wait_for_function("() => document.querySelector('#rows-last').value === '45'")
+    page.click("#controls-unmask")
+    wait(page, "#masked", "none")
+    page.click("#controls-cancel")
+    page.focus("#view")
+    page.keyboard.press("o")
+    page.click("#controls-default")
+    until(lambda: page.daemon.get("/api/controls")["rows"] is None, "the defaults are back")
+    assert page.daemon.get("/api/controls")["masked"] == []
+
+
 @pytest.mark.parametrize("size", [(1366, 768), (3840, 2160), (390, 844), (320, 640)])
 def test_nothing_is_wider_than_the_screen(page: Any, size: tuple[int, int]) -> None:
     page.set_viewport_size({"width": size[0], "height": size[1]})

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Commands of the user: start, stop, record, calibrate, freeze, measure, light or dark.
 
+import { openControls } from "./controls.js";
 import { $ } from "./dom.js";
 import { openHelp } from "./help.js";
 import { ask } from "./link.js";
@@ -40,6 +41,7 @@ export const commands = {
     if (answer) showMessage(`Ending recording ${answer.name}.`);
   },
   recordings: openRecordings,
+  controls: openControls,
   help: openHelp,
   freeze: () => {
     state.frozen = !state.frozen;

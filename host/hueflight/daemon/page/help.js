@@ -10,6 +10,7 @@ const KEYS = [
   ["Space", "start or stop; asks first while a recording is in progress"],
   ["R", "begin a recording, or end it"],
   ["L", "list of recordings"],
+  ["O", "set the camera: rate, region, time gate, masked pixels"],
   ["C", "calibrate"],
   ["F", "freeze the picture"],
   ["G", "measure a region: drag over the picture"],

@@ -13,7 +13,7 @@ import { chooseView, resetCloud, turnCloud, zoomCloud } from "./views.js";
 const VIEW_KEYS = { 1: "depth", 2: "colour", 3: "bands", 4: "points", 5: "photons" };
 const COMMAND_KEYS = {
   r: "record", l: "recordings", c: "calibrate", t: "theme", f: "freeze", g: "region-tool",
-  d: "distance-tool", "?": "help",
+  d: "distance-tool", o: "controls", "?": "help",
 };
 const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
 

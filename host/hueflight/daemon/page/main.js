@@ -3,6 +3,7 @@
 
 import { offerFlags } from "./certainty.js";
 import { restoreTheme, showButtons } from "./commands.js";
+import { startControls } from "./controls.js";
 import { $ } from "./dom.js";
 import { showFacts, showState } from "./facts.js";
 import { showFailure, startFailures } from "./failures.js";
@@ -72,7 +73,8 @@ function begin() {
     return;
   }
   for (const start of [
-    listenToInput, startGathering, startRecordDialog, startRecordings, startHelp, startFailures,
+    listenToInput, startGathering, startRecordDialog, startRecordings, startControls, startHelp,
+    startFailures,
   ]) start();
   new ResizeObserver(() => {
     redraw();

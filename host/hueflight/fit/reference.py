@@ -11,7 +11,7 @@ Maximum likelihood for Poisson counts, in four steps:
    the tails of the pulses are taken for background, up to a tenth of a photon of each band.
 3. *Choice*: where the search left a second delay, both are fitted and their likelihoods compared.
 4. *Posterior*: where photons are few, the likelihood is not a parabola; the delay and its deviation
-   are then the mean and deviation of the likelihood on a few delays around its maximum. From 60
+   are then the mean and deviation of the likelihood on a few delays around its maximum. From 40
    photons on, a third-order correction of the parabola suffices.
 
 Everything here works on many pixels at once; `hueflight/fit/_c` holds the same in C.
@@ -47,7 +47,7 @@ RASTER = 0.07  #: and by this much per photon: a delay between two lags of the s
 AMBIGUOUS = 3.0  #: log-likelihood by which the better delay must win (20 : 1)
 FEW_PHOTONS = 300.0  #: pixels that know no more of their delay than this many would tell
 FEW_STEPS = 2  #: take this many steps at least: amplitudes settle later than the delay
-POSTERIOR_PHOTONS = 60.0  #: the posterior stage is for pixels that know no more than this many tell
+POSTERIOR_PHOTONS = 40.0  #: the posterior stage is for pixels that know no more than this many tell
 NODES = 7  #: delays on which the posterior is looked at,
 NODE_SPACING = 1.2  #: this many deviations apart: of a parabola exact to 1e-5 (trapezoids)
 LIKELIHOOD_ROUNDS = 6  #: of expectation maximisation before two likelihoods are compared

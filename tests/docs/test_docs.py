@@ -58,7 +58,7 @@ def test_a_failing_block_fails_the_build(tmp_path: Path) -> None:
 
 API_PAGES = ROOT / "docs" / "api"
 #: packages whose interface is a command or a service, or that serve the other packages only
-WITHOUT_A_PAGE = {"backend", "cli", "daemon", "report"}
+WITHOUT_A_PAGE = {"backend", "cli", "daemon", "integrations", "report"}
 
 
 def described_packages() -> list[str]:

@@ -96,7 +96,7 @@ def _edges() -> Column:
     std = image["depth_std"].values
 
     def off(depth: Panel) -> Panel:
-        nearest = np.nanmin(np.abs(depth - depths), axis=0)
+        nearest = np.fmin.reduce(np.abs(depth - depths), axis=0)
         return np.where(std < 0.03, 100 * nearest, np.nan)
 
     panels = (np.zeros(depths.shape[1:]), off(_without_tests(counts)), off(image["depth"].values))

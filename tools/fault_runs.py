@@ -108,7 +108,8 @@ def main() -> None:
     found = read_log(chosen.read) if chosen.read is not None else run(chosen)
     if not found:
         return
-    command = f"python tools/dev.py faults --seed {found[0].seed} --runs {len(found)}"
+    first, last = found[0].seed, found[-1].seed
+    command = f"python tools/dev.py faults --seed {first} --runs {last - first + 1}"
     text = summary(found, command)
     print(text)
     if chosen.docs:

@@ -59,11 +59,12 @@ class LivePictures:
 
 def still(calibration: Any, chances: NDArray[np.float64], depth: NDArray[np.float64]) -> list[str]:
     """Deviation of depth after some times."""
-    pictures, rows, at_s = LivePictures(calibration, 1), [], 0.0
+    pictures, rows, at_s, image = LivePictures(calibration, 1), [], 0.0, None
     for until_s, blocks in ((1, 10), (10, 90), (60, 50)):
         for _ in range(blocks):
             image = pictures.next(chances, round((until_s - at_s) * RATE_HZ / blocks))
         at_s = until_s
+        assert image is not None
         found, std = image["depth"].values, image["depth_std"].values
         known = np.isfinite(found) & np.isfinite(depth)
         flags = image["quality"].values
@@ -104,7 +105,7 @@ def moving(calibration: Any, wall: NDArray[np.float64], near: NDArray[np.float64
 
 def main() -> None:
     """Print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--write", action="store_true", help=f"also write {RESULT.name}")
     wanted = parser.parse_args()
     instrument = hf.Instrument.load("paper")

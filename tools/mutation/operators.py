@@ -94,7 +94,7 @@ def mutants_of(root: Path, path: Path, /) -> list[Mutant]:
     for where, function in _functions(tree):
         for node, operator, after in _changes(function, source, starts):
             start = starts[node.lineno - 1] + node.col_offset
-            stop = starts[node.end_lineno - 1] + node.end_col_offset
+            stop = _end(node, starts)
             before = source[start:stop].decode()
             if operator == "remove":
                 before, stop = _with_comma(source, start, stop)
@@ -105,6 +105,13 @@ def mutants_of(root: Path, path: Path, /) -> list[Mutant]:
                 Mutant(name, node.lineno, where, operator, before, after, start, stop, key)
             )
     return found
+
+
+def _end(node: ast.expr, starts: list[int]) -> int:
+    """Place one past the last byte of a node."""
+    assert node.end_lineno is not None
+    assert node.end_col_offset is not None
+    return starts[node.end_lineno - 1] + node.end_col_offset
 
 
 def _functions(tree: ast.Module) -> Iterator[tuple[str, ast.FunctionDef]]:
@@ -125,7 +132,7 @@ def _changes(
 
     def text(node: ast.expr) -> str:
         start = starts[node.lineno - 1] + node.col_offset
-        return source[start : starts[node.end_lineno - 1] + node.end_col_offset].decode()
+        return source[start : _end(node, starts)].decode()
 
     for statement in function.body:
         for node in ast.walk(statement):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.scene_change import SIGMA, TILE, changed_tiles, grown, tile_counts
 
 LONGER = 8  #: times as many histograms in each following window of the test
+Value = TypeVar("Value", bound=np.generic)  # of a tile
 MOST_FRAMES = int(np.iinfo(np.uint32).max)  #: then a pixel begins anew: its counters are full
 
 
@@ -194,7 +196,7 @@ class GatheredSum:
         self._tiles += counts
         self._tile_frames += frames
 
-    def _pixels(self, tiles: NDArray[np.generic]) -> NDArray[np.generic]:
+    def _pixels(self, tiles: NDArray[Value]) -> NDArray[Value]:
         """Values of tiles, for each of their pixels."""
         rows, cols = self._shape
         return np.repeat(np.repeat(tiles, TILE, 0), TILE, 1)[:rows, :cols]

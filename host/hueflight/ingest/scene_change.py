@@ -10,6 +10,8 @@ receives too few photons within one picture for a change to be told from chance.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,7 +60,7 @@ def tile_counts(
     tiles = bands.reshape(len(bands), cols // TILE, TILE, codes).sum(axis=2, dtype=dtype)
     if reports_empty:
         tiles[..., 0] = 0
-    return sum(tiles[..., first::size].astype(np.float64) for first in range(size))
+    return reduce(np.add, (tiles[..., first::size].astype(np.float64) for first in range(size)))
 
 
 def changed_tiles(
@@ -200,9 +202,11 @@ def _significance(
     ratio: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Greatest significance of all contrasts, shape (row, col) of arrays (row, col, group)."""
-    counts = [_in_windows(part) for part in (seen, expected, spread)]
+    of_counts = count_significance(
+        _in_windows(seen), _in_windows(expected), _in_windows(spread), ratio[..., None]
+    )
     return np.maximum(
-        count_significance(*counts, ratio[..., None]).max(axis=-1),
+        of_counts.max(axis=-1),
         _shift_significance(seen, expected, spread),
     )
 
@@ -248,9 +252,9 @@ def _smoothed(values: NDArray[np.float64]) -> NDArray[np.float64]:
     reach = len(_SMOOTH) // 2
     ends = [(0, 0)] * (values.ndim - 1) + [(reach, reach)]
     padded = np.pad(values, ends, mode="edge")
-    return sum(
-        part * padded[..., first : first + values.shape[-1]] for first, part in enumerate(_SMOOTH)
-    )
+    length = values.shape[-1]
+    shifted = (part * padded[..., at : at + length] for at, part in enumerate(_SMOOTH))
+    return reduce(np.add, shifted)
 
 
 def _n_log(counts: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:

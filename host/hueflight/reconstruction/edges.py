@@ -159,7 +159,7 @@ def _beside_both(
     down, right = np.divmod(np.delete(np.arange(9), 4), 3)
     beside = padded[row[:, None] + down, col[:, None] + right]
     behind, before = (beside >= near[:, None]).all(axis=-1), (beside <= far[:, None]).all(axis=-1)
-    return ~(behind | before)
+    return np.logical_not(behind | before)
 
 
 def _window_corner(place: NDArray[np.intp], size: int) -> NDArray[np.intp]:

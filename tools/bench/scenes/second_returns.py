@@ -38,7 +38,7 @@ def rows(quick: bool) -> Iterator[Row]:
     """Right pairs and errors of both depths, and pixels that see one surface."""
     size = (12, 16) if quick else (24, 32)
     calibration = calibrated(*size)
-    false: list[Floats] = []
+    false: list[NDArray[np.bool_]] = []
     for near, far in PAIRS:
         for apart in APART_M:
             shares, errors = [], []

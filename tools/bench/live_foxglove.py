@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Foxglove live while a camera is recorded: pictures received, delay, frames lost.
 
-    python tools/bench/foxglove.py --seconds 20
+    python3 tools/dev.py bench live_foxglove --seconds 20
 
 A daemon plays the simulated instrument, records, and serves Foxglove; a client of the protocol,
 written from its text, subscribes to every channel, or to two. The delay is the time from the
@@ -67,7 +67,7 @@ def measured(daemon: Daemon, wanted: tuple[str, ...], seconds: float) -> list[st
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     seconds = parser.parse_args().seconds
     with tempfile.TemporaryDirectory() as name:

@@ -31,7 +31,9 @@ _PACKERS = {
 }
 """Router, packer, and the file extensions of what they write."""
 _VENDOR_TOOLS = {"xc3s": "ISE", "xc6s": "ISE", "xc7": "Vivado"}
-_NO_ROOM = re.compile(r"no BELs remaining|[Uu]nable to (place|find)|ran out of|not enough|exceed")
+_NO_ROOM = re.compile(
+    r"no BELs remaining|Failed to expand region|[Uu]nable to (place|find)|ran out of|not enough"
+)
 """What routers say of a design that is too large for its device."""
 _SIZES = {
     "illuminator": ("channels", "pulses", "steps"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board as a Python file: the UPduino, with the LED outputs of the user's own platform class."""
+"""A board as a Python file: the BlackIce II by way of its TOML file."""
 
 from pathlib import Path
 
@@ -12,4 +12,4 @@ def target(design: str, options: Options) -> Target:
     """Return the target of a design."""
     if design != "illuminator":
         raise TargetError(f"the {design} does not fit this board")
-    return board_target(read_board_file(Path(__file__).with_name("upduino.toml")), options)
+    return board_target(read_board_file(Path(__file__).with_name("blackice.toml")), options)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from hueflight.analysis import flatten, illumination_pattern
 from hueflight.cli.output import print_notice, show
 from hueflight.export import FORMATS, write
 from hueflight.files.bands import find_band
@@ -35,6 +36,7 @@ def export(
     variable: str | None = None,
     band: str | None = None,
     limits: Annotated[tuple[float, float] | None, Parameter(negative_iterable=())] = None,
+    flat_field: Path | None = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -58,12 +60,17 @@ def export(
     limits : tuple of float, optional
         Values at the ends of the colour scale of a .png: two numbers, such as 0.3 1.5. By default
         they follow from the values.
+    flat_field : Path, optional
+        Image of a flat, matte board of one color that fills the picture, made with the same
+        calibration. Reflectances are divided by the pattern of each band's light that it shows.
     overwrite : bool, default False
         Replace existing files of that name.
     json : bool, default False
         Print one JSON object instead of a table.
     """
     loaded = read_image(image)
+    if flat_field is not None:
+        loaded = flatten(loaded, illumination_pattern(read_image(flat_field)))
     options: dict[str, Any] = {"variable": variable, "limits": limits}
     if band is not None:
         options["band"] = find_band(loaded, band)

@@ -8,9 +8,11 @@ properties, then one packed record per vertex.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from hueflight.errors import ExportError
 from hueflight.export.description import ascii_text, plain_attributes
@@ -69,6 +71,8 @@ def ply_bytes(points: Points, *, comments: dict[str, str]) -> bytes:
         **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
         **points.fields,
     }
+    # meshio knows no names of 16-bit types in binary files
+    columns = {name: _widened(values) for name, values in columns.items()}
     vertex = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     records = np.empty(len(points.xyz), dtype=vertex)
     for name, values in columns.items():
@@ -89,3 +93,9 @@ def ply_bytes(points: Points, *, comments: dict[str, str]) -> bytes:
         lines.append(f"property {kind} {name}")
     lines.append("end_header\n")
     return "\n".join(lines).encode("utf-8") + records.tobytes()
+
+
+def _widened(values: NDArray[Any]) -> NDArray[Any]:
+    """Return 16-bit whole numbers with 32 bits, other values as they are."""
+    wider = {"int16": np.int32, "uint16": np.uint32}.get(values.dtype.name)
+    return values if wider is None else values.astype(wider)

@@ -29,7 +29,7 @@ UNITS = {
     "near_reflectance_std": "1",
     "second_reflectance": "1",
     "second_reflectance_std": "1",
-    "background": "count / code",
+    "background": "count",
     "photons": "count",
     "resolution": "pixel",
     "fit_chi_square": "1",

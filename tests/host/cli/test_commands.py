@@ -14,6 +14,7 @@ import pytest
 import xarray as xr
 from cyclopts import App
 
+from hueflight.analysis import flatten, illumination_pattern
 from hueflight.batch import job
 from hueflight.calibration import Calibration
 from hueflight.cli import main
@@ -594,6 +595,22 @@ def test_an_image_without_its_preview_is_a_success(
     assert "matplotlib" in done.err
     assert not (measured / "image.png").exists()
     assert read_image(measured / "image.zarr")["depth"].size == 120
+
+
+def test_the_pattern_of_the_light_is_divided_out(bench: Path, run) -> None:
+    (bench / "bench.toml").write_text(TOML.replace("rows = 12", "rows = 16"))
+    calibrated(run)
+    words = ("--distance", "0.8", "--instrument", "bench.toml", "--frames", "20000")
+    assert run("simulate", "plane", *words, "-o", "board.npz").code == 0
+    board = image_of(bench, run, "board.npz", out="board.zarr")
+    done = run("export", "board.zarr", "even.nc", "--flat-field", "board.zarr")
+    assert done.code == 0, done.err
+    even = read_image(bench / "even.nc")
+    expected = flatten(board, illumination_pattern(board))
+    xr.testing.assert_allclose(even["reflectance"], expected["reflectance"])
+    assert even["reflectance"].attrs["flat_field"] == "illumination pattern of each band"
+    refused = run("export", "even.nc", "again.nc", "--flat-field", "board.zarr")
+    assert "are flattened already" in refused.err
 
 
 def test_a_picture_of_one_band(measured: Path, run) -> None:

@@ -41,14 +41,15 @@ def draw() -> Path:
     for column, (title, panels, label, (low, high), colors) in enumerate(columns):
         for row, (panel, name) in enumerate(zip(panels, ("true", "before", "after"), strict=True)):
             axis = axes[row, column]
-            shown = axis.imshow(panel, vmin=low, vmax=high, cmap=colors, aspect="auto")
+            axis.imshow(panel, vmin=low, vmax=high, cmap=colors, aspect="auto")
             axis.set(xticks=[], yticks=[])
             if column == 0:
                 axis.set_ylabel(name, fontsize=12)
             if row == 0:
                 axis.set_title(title, fontsize=11)
+        scale = axes[0, column].images[0]
         figure.colorbar(
-            shown, ax=axes[:, column], location="bottom", label=label, fraction=0.03, pad=0.01
+            scale, ax=axes[:, column], location="bottom", label=label, fraction=0.03, pad=0.01
         )
     figure.savefig(PICTURE, dpi=80)
     return PICTURE

@@ -26,6 +26,8 @@ SAMPLE = {
 EVERYTHING = [
     case if case in SAMPLE else pytest.param(*case, marks=pytest.mark.slow)
     for case in product(range(1, 31), RATIOS, DIRECTIONS)
+    # where pulses overlap so widely, one reference can't tell all of many bands apart
+    if case[1] > 1.5 or case[0] <= 6
 ]
 #: largest root mean square of (depth - truth) / deviation over 144 pixels: 1.3 has a probability of
 #: 2e-6 for independent normal scores; pooled estimates depend on one another
@@ -88,10 +90,9 @@ def test_depth_is_as_good_as_it_says(bands, ratio, direction):
     try:
         calibration = hf.calibrate(reference, instrument, distance=1.0)
     except CalibrationError:
-        # pulses of two thirds of their spacing: one reference can't tell all of many bands apart,
-        # nor a single pulse from the background
+        # a single pulse of two thirds of the period can't be told from the background
         assert ratio == 1.5
-        assert bands == 1 or bands > 7
+        assert bands == 1
         return
     truth = 1.0 + step
     scene = counts(instrument, truth, photons, 2)

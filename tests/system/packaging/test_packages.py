@@ -18,6 +18,7 @@ NOT_RELEASED = (".github/", ".ci/", ".gitignore", "docs/.gitignore", ".pre-commi
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.timeout(2400),  # two builds of all kernels, and environments with all packages
     pytest.mark.skipif(sys.platform != "linux", reason="wheels are built for Linux"),
 ]
 

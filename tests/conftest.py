@@ -19,7 +19,6 @@ MAY_LACK = (  #: beginnings of the reasons for which CI may skip
     "measured spectra are not ",
     "this processor can't run ",  # a build of the kernels for another one
     "this user may not mount ",  # disks of a test
-    "nginx is not installed",  # for the page on remote use
     "udevadm 252 has no verify",  # that of Debian 12
 )
 #: programs whose tests run in an environment of their own: tools/dev.py programs

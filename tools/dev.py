@@ -4,7 +4,7 @@
 
     python3 tools/dev.py demo            the simulated instrument, end to end, as a report
     python3 tools/dev.py test [--full]   lint, format, types, tests; --full adds the slow ones
-    python3 tools/dev.py programs        tests with napari, Micro-Manager and Bluesky
+    python3 tools/dev.py programs        tests with napari, Micro-Manager, Bluesky and readers
     python3 tools/dev.py bench NAME      a benchmark of tools/bench
     python3 tools/dev.py faults          runs of the daemon with faults at random
     python3 tools/dev.py packages        the source archive and wheels of a release
@@ -112,7 +112,8 @@ def programs(arguments: list[str]) -> None:
     run([*pip, "-c", str(ROOT / "constraints-programs.txt"), "-e", f"{ROOT}[programs]"])
     checker = str(ROOT / "tools" / "check_docstrings.py")
     run([str(python), checker, str(ROOT / "host" / "hueflight" / "integrations")])
-    tests = ["tests/host/integrations", "-p", "no:cacheprovider", *arguments]
+    tests = ["tests/host/integrations", "tests/host/export/test_independent_readers.py"]
+    tests += ["-p", "no:cacheprovider", *arguments]
     run([str(python), "-m", "pytest", *tests], HUEFLIGHT_PROGRAMS="1", QT_QPA_PLATFORM="offscreen")
 
 

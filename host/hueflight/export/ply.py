@@ -71,7 +71,7 @@ def ply_bytes(points: Points, *, comments: dict[str, str]) -> bytes:
         **dict(zip(("red", "green", "blue"), points.rgb.T, strict=True)),
         **points.fields,
     }
-    # meshio knows no names of 16-bit types in binary files
+    # meshio reads no 16-bit types from binary files, the tensor reader of Open3D no unsigned ones
     columns = {name: _widened(values) for name, values in columns.items()}
     vertex = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     records = np.empty(len(points.xyz), dtype=vertex)
@@ -96,6 +96,6 @@ def ply_bytes(points: Points, *, comments: dict[str, str]) -> bytes:
 
 
 def _widened(values: NDArray[Any]) -> NDArray[Any]:
-    """Return 16-bit whole numbers with 32 bits, other values as they are."""
-    wider = {"int16": np.int32, "uint16": np.uint32}.get(values.dtype.name)
+    """Return 16-bit whole numbers with 32 bits and a sign, other values as they are."""
+    wider = np.int32 if values.dtype.name in ("int16", "uint16") else None
     return values if wider is None else values.astype(wider)

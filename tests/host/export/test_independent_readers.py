@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exported files in programs of others, number by number; a program that is absent skips its test.
+"""Exported files in programs of others, number by number: `tools/dev.py programs` installs these.
 
 `laspy`, `tifffile`, `ome-types`, `spectral` and `zarr` read in the tests of each format.
 """
@@ -10,6 +10,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -19,8 +20,12 @@ from hueflight.export import write
 from hueflight.export.points import image_points
 
 
+def installed(name: str) -> ModuleType:
+    return pytest.importorskip(name, reason=f"other programs are not installed: {name}")
+
+
 def test_plyfile_reads_every_column(image: xr.Dataset, tmp_path: Path) -> None:
-    plyfile = pytest.importorskip("plyfile")
+    plyfile = installed("plyfile")
     write(image, tmp_path / "a.ply")
     vertex = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
     points = image_points(image)
@@ -32,7 +37,7 @@ def test_plyfile_reads_every_column(image: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_meshio_reads_points(image: xr.Dataset, tmp_path: Path) -> None:
-    meshio = pytest.importorskip("meshio")
+    meshio = installed("meshio")
     write(image, tmp_path / "a.ply")
     mesh = meshio.read(tmp_path / "a.ply")
     points = image_points(image)
@@ -43,7 +48,7 @@ def test_meshio_reads_points(image: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_both_readers_of_open3d(image: xr.Dataset, tmp_path: Path) -> None:
-    o3d = pytest.importorskip("open3d")
+    o3d = installed("open3d")
     write(image, tmp_path / "a.ply")
     points = image_points(image)
     plain = o3d.io.read_point_cloud(str(tmp_path / "a.ply"))
@@ -56,7 +61,7 @@ def test_both_readers_of_open3d(image: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_rasterio_reads_envi(image: xr.Dataset, tmp_path: Path) -> None:
-    rasterio = pytest.importorskip("rasterio")
+    rasterio = installed("rasterio")
     write(image, tmp_path / "a.hdr")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pictures have no place on a map
@@ -66,7 +71,7 @@ def test_rasterio_reads_envi(image: xr.Dataset, tmp_path: Path) -> None:
 
 
 def test_netcdf4_reads_every_variable(image: xr.Dataset, tmp_path: Path) -> None:
-    pytest.importorskip("netCDF4")
+    installed("netCDF4")
     write(image, tmp_path / "a.nc")
     # in a process of its own: its HDF5 library is another than that of h5py
     program = (
@@ -85,7 +90,7 @@ def test_netcdf4_reads_every_variable(image: xr.Dataset, tmp_path: Path) -> None
 
 
 def test_the_cf_checker_finds_no_error(image: xr.Dataset, tmp_path: Path) -> None:
-    pytest.importorskip("compliance_checker")
+    installed("compliance_checker")
     write(image, tmp_path / "a.nc")
     # in a process of its own: it needs another HDF5 library than h5py
     program = (

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 from _face import DEPTH_RANGE, FACE, face_capture, matched_depths
+from _night import NIGHT, NIGHT_DEPTH_RANGE, night_calibration, night_counts
 from acceptance import NO_DATA, Row
 from numpy.typing import NDArray
-from returns import NIGHT, night_calibration, night_counts
 from scipy.io import loadmat
 from scipy.ndimage import distance_transform_edt
 
@@ -24,7 +24,6 @@ from hueflight import simulator
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 
 LEAST_PHOTONS = 6  #: of a pixel, in either half
-NIGHT_RANGE = (0.0, 28.5)
 
 
 def rows(quick: bool) -> Iterator[Row]:
@@ -87,7 +86,7 @@ def _night(quick: bool) -> Capture:
     cells = loadmat(NIGHT)["Ts_gated"]
     if quick:
         cells = cells[100:196, 64:160]
-    return night_counts(cells), night_calibration(cells.shape), NIGHT_RANGE
+    return night_counts(cells), night_calibration(cells.shape), NIGHT_DEPTH_RANGE
 
 
 def _judged(

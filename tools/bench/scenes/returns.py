@@ -6,19 +6,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from acceptance import NO_DATA, PHOTON_DATA, Row
-from numpy.typing import NDArray
+from _night import NIGHT, NIGHT_DEPTH_RANGE, night_calibration, night_counts
+from acceptance import NO_DATA, Row
 from outside_model import COLORS, amplitudes, bound_m, calibrated, drawn, expected
 from scipy.io import loadmat
 
 import hueflight as hf
 from hueflight.calibration import Calibration
-from hueflight.model.waveforms import Templates
 from hueflight.reconstruction.quality import Quality
 
 METHODS = ("joint", "paper", "pooled")
-NIGHT = PHOTON_DATA / "k11_night.mat"
-NIGHT_GATE_PS, NIGHT_CODES, NIGHT_FWHM_NS, NIGHT_PULSE_NS = 200_000, 512, 0.98, 5.0
 #: rows and columns of the night picture that show nothing but sky
 SKIES = (np.s_[:50, 80:155], np.s_[:60, :22], np.s_[100:250, 225:])
 
@@ -101,7 +98,7 @@ def _night(quick: bool) -> Iterator[Row]:
         night_counts(cells),
         night_calibration(cells.shape),
         method="pooled",
-        depth_range=(0.0, 28.5),
+        depth_range=NIGHT_DEPTH_RANGE,
     )
     shown = np.isfinite(image["depth"].values) & (image["quality"].values == 0)
     sky = (np.s_[:50, 16:91],) if quick else SKIES
@@ -110,51 +107,3 @@ def _night(quick: bool) -> Iterator[Row]:
         "sky of a real night picture, `pooled`: unflagged depths",
         f"{share:.2%}", "≤ 1 %", "0.2 %", share <= 0.01,
     )  # fmt: skip
-
-
-def night_counts(cells: NDArray[np.object_]) -> NDArray[np.uint16]:
-    """Return histograms (row, col, code) of arrival times in ps after the start of the gate."""
-    counts = np.zeros((cells.size, NIGHT_CODES), np.uint16)
-    for pixel, times in enumerate(cells.ravel()):
-        code = (times.ravel().astype(np.int64) % NIGHT_GATE_PS) * NIGHT_CODES // NIGHT_GATE_PS
-        np.add.at(counts[pixel], code, 1)
-    return counts.reshape(*cells.shape, NIGHT_CODES)
-
-
-def night_calibration(shape: tuple[int, ...]) -> Calibration:
-    """Return a calibration with a Gaussian pulse; depth has an offset."""
-    period_ns = NIGHT_GATE_PS / 1000
-    instrument = hf.Instrument.from_toml(f"""
-        name = "night"
-        [sensor]
-        rows = {shape[0]}
-        cols = {shape[1]}
-        code_bits = 9
-        bin_width_ns = {period_ns / NIGHT_CODES}
-        [timing]
-        period_ns = {period_ns}
-        latency_ns = {NIGHT_PULSE_NS}
-        [[bands]]
-        name = "laser"
-        wavelength_nm = 640
-        pulse_fwhm_ns = {NIGHT_FWHM_NS}
-    """)
-    times_ns = np.arange(4 * NIGHT_CODES) * period_ns / (4 * NIGHT_CODES)
-    pulse = np.exp(-4 * np.log(2) * ((times_ns - NIGHT_PULSE_NS) / NIGHT_FWHM_NS) ** 2)
-    zero, never = np.zeros(shape), np.zeros(shape, bool)
-    return Calibration(
-        instrument=instrument,
-        distance=0.0,
-        bins=instrument.time_bins(),
-        reference=np.zeros((*shape, 1), np.float32),
-        frames=None,
-        windows=(),
-        pixel_delay_ns=zero,
-        pixel_delay_std_ns=zero,
-        gain=np.ones(1),
-        templates=Templates.normalized(pulse[None], period_ns),
-        brightness=np.ones(1),
-        flat_field=zero + 1,
-        dead=never,
-        hot=never,
-    )

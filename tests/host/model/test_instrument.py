@@ -113,7 +113,7 @@ def test_a_name_does_not_change_the_fingerprint_but_a_delay_does() -> None:
     [
         (("name =", "nam ="), r"there is no entry 'nam'"),
         (("rows = 2", "rows = 2\nfilter = 1"), r"sensor: there is no entry 'filter'"),
-        (("wavelength_nm = 525", ""), r"bands: the entry 'wavelength_nm' is missing"),
+        (("wavelength_nm = 525", ""), r"bands\[0\]: the entry 'wavelength_nm' is missing"),
         (("rows = 2", 'rows = "two"'), r"sensor\.rows: a whole number is needed, not text"),
         (("rows = 2", "rows = 0"), r"sensor\.rows = 0: must be at least 1"),
         (("rows = 2", "rows = 2048"), r"2048 × 3 pixels.*split the sensor or use scan_steps"),

@@ -44,22 +44,27 @@ from .frame import Frame, FrameHeader
 from .frame_decoder import decode_frame
 from .frame_encoder import encode_frame
 from .illuminator_map import illuminator_map
+from .packet_header import PacketHeader
 from .packets import (
     Event,
     Opaque,
-    PacketHeader,
     Status,
     TestPattern,
     decode_packet,
     encode_event,
     encode_packet,
     encode_status,
+    encode_sums,
     encode_test_pattern,
 )
 from .parser import Damage, Packet, PacketParser, ParserReport
+from .reduction import ReductionTables, reduce_codes, reduce_histogram
+from .reduction_registers import ReductionMode, ReductionRoom
 from .register_file import RegisterFile
 from .register_value import RegisterValue
 from .registers import Access, Field, Place, Register, RegisterMap, Reserved
+from .sums_packet import Sums
+from .sums_pictures import PictureAssembler, SumsPicture
 from .wire import (
     CHUNK_WORD,
     DEFAULT_RUN,
@@ -114,8 +119,12 @@ __all__ = [
     "PacketType",
     "ParserReport",
     "PatternKind",
+    "PictureAssembler",
     "Place",
     "ProtocolError",
+    "ReductionMode",
+    "ReductionRoom",
+    "ReductionTables",
     "Register",
     "RegisterError",
     "RegisterFile",
@@ -126,6 +135,8 @@ __all__ = [
     "Response",
     "Result",
     "Status",
+    "Sums",
+    "SumsPicture",
     "TestPattern",
     "TrailerStatus",
     "camera_map",
@@ -142,8 +153,11 @@ __all__ = [
     "encode_request",
     "encode_response",
     "encode_status",
+    "encode_sums",
     "encode_test_pattern",
     "illuminator_map",
+    "reduce_codes",
+    "reduce_histogram",
     "serial_frame",
     "xor_words",
 ]

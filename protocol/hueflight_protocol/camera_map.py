@@ -5,6 +5,7 @@ from enum import IntEnum
 
 from .common_map import common_registers
 from .errors import RegisterError
+from .reduction_registers import ReductionRoom, reduction_registers
 from .registers import Access, Field, Register, RegisterMap, Reserved, value
 from .wire import DEFAULT_RUN, MAX_CODE_BITS, MAX_COLS, MAX_ROWS, PatternKind
 
@@ -30,6 +31,7 @@ def camera_map(
     run: int = DEFAULT_RUN,
     geometry: int = 0,
     clock_hz: int = 100_000_000,
+    reduction: ReductionRoom | None = None,
 ) -> RegisterMap:
     """Return the camera's register map; addresses are the same for every build.
 
@@ -47,6 +49,8 @@ def camera_map(
         Identity of the geometry, as in frame headers.
     clock_hz : int
         Frequency of the device clock.
+    reduction : ReductionRoom, optional
+        Room for sums; by default the build can't reduce codes to sums.
 
     Returns
     -------
@@ -104,6 +108,7 @@ def camera_map(
             *_counters(),
             *_filters(rows, cols, code_bits),
             *_synthetic(),
+            *([] if reduction is None else reduction_registers(reduction)),
         ],
     )
 

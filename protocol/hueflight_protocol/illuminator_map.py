@@ -53,6 +53,8 @@ def illuminator_map(
     lanes: int = 4,
     tick_fs: int = 1_250_000,
     clock_hz: int = 200_000_000,
+    external_clock: bool = False,
+    reference_hz: int = 0,
 ) -> RegisterMap:
     """Return the illuminator's register map; addresses are the same for every build.
 
@@ -70,6 +72,10 @@ def illuminator_map(
         Length of a tick in femtoseconds.
     clock_hz : int
         Frequency of the pulse generator's clock.
+    external_clock : bool
+        The build can run from an external clock; otherwise it has no registers for that.
+    reference_hz : int
+        Frequency of the external clock.
 
     Returns
     -------
@@ -111,13 +117,18 @@ def illuminator_map(
         ),
     ]
     common = common_registers(
-        BOARD, clock_hz=clock_hz, features=_FEATURES, state=_STATE, faults=_FAULTS
+        BOARD,
+        clock_hz=clock_hz,
+        features=(*_FEATURES, _EXTERNAL_CLOCK) if external_clock else _FEATURES,
+        state=_STATE,
+        faults=(*_FAULTS, _REFERENCE_LOST) if external_clock else _FAULTS,
     )
     return RegisterMap(
         "illuminator",
         [
             *common,
             *build,
+            *(_clock(reference_hz) if external_clock else ()),
             *_safety(channels),
             *_trigger(lanes),
             *_sequencer(channels, steps),
@@ -130,6 +141,7 @@ _FEATURES = (
     Field("temperature", 1, "the temperature is measured"),
     Field("clock_supervision", 1, "failures of the clock are detected and counted"),
 )
+_EXTERNAL_CLOCK = Field("external_clock", 1, "the board can run from an external clock")
 
 _STATE = (
     Field("armed", 1, "LEDs may fire"),
@@ -151,6 +163,37 @@ _FAULTS = (
     Field("saturated", 1, "a counter stands at its largest value"),
     Field("clock_failed", 1, "the clock failed, which disarmed the board"),
 )
+_REFERENCE_LOST = Field("reference_lost", 1, "the external clock was lost while in use")
+
+
+def _clock(reference_hz: int) -> list[Register]:
+    return [
+        Register(
+            "clock_source",
+            0x012,
+            Access.RW,
+            (Field("external", 1, "run from the external clock; asks anew when it becomes 1"),),
+            "clock that is wanted, in builds with an external one; a change disarms the board",
+        ),
+        Register(
+            "clock_state",
+            0x013,
+            Access.RO,
+            (
+                Field("external", 1, "the external clock is in use"),
+                Field("present", 1, "there is an external clock of the right frequency"),
+                Field("lost", 1, "it was lost while in use; until it is asked for again"),
+            ),
+            "clock in use, in builds with an external clock",
+        ),
+        Register(
+            "reference_hz",
+            0x014,
+            Access.CONST,
+            value(32, "", reset=reference_hz, unit="Hz"),
+            "frequency that the external clock must have, in builds with one",
+        ),
+    ]
 
 
 def _safety(channels: int) -> list[Register]:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from .checksum import crc32c, xor_words
 from .errors import PacketError, ProtocolError
+from .packet_header import PacketHeader
+from .sums_packet import Sums, pack_sums, unpack_sums
 from .walk import check_header, check_length, header_size
 from .wire import (
     ALIGNMENT,
@@ -26,25 +28,6 @@ from .wire import (
     PatternKind,
     padded,
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PacketHeader:
-    """What the header of a packet that is not a frame says.
-
-    Parameters
-    ----------
-    sequence : int
-        Number of the packet since the device's reset, modulo 2**32.
-    timestamp : int
-        Device clock when the packet was made, in clock ticks.
-    capture : int
-        Label of the capture, as the host set it.
-    """
-
-    sequence: int
-    timestamp: int = 0
-    capture: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +123,7 @@ class Opaque:
     header : PacketHeader
         Sequence, timestamp, capture.
     type : int
-        As in the packet; `PacketType.HISTOGRAM` is reserved and arrives so.
+        As in the packet.
     body : bytes
         Without padding.
     """
@@ -239,6 +222,22 @@ def encode_test_pattern(
     return encode_packet(PacketType.TEST, head + values[1:].astype("<u4").tobytes(), header)
 
 
+def encode_sums(sums: Sums, /) -> bytes:
+    """Return a packet of sums.
+
+    Parameters
+    ----------
+    sums : Sums
+        The sums.
+
+    Returns
+    -------
+    bytes
+        The packet.
+    """
+    return encode_packet(PacketType.SUMS, pack_sums(sums), sums.header)
+
+
 def encode_packet(kind: int, body: bytes, header: PacketHeader, /) -> bytes:
     """Return a packet of any type but a frame.
 
@@ -294,7 +293,7 @@ def packet_size(buffer: bytes | bytearray, start: int, /) -> int | None:
     return size + padded(length, ALIGNMENT) + PACKET_TRAILER.size
 
 
-def decode_packet(packet: bytes, /) -> Event | Status | TestPattern | Opaque:
+def decode_packet(packet: bytes, /) -> Event | Status | TestPattern | Sums | Opaque:
     """Return what one whole packet that is not a frame carries.
 
     Parameters
@@ -304,7 +303,7 @@ def decode_packet(packet: bytes, /) -> Event | Status | TestPattern | Opaque:
 
     Returns
     -------
-    Event, Status, TestPattern or Opaque
+    Event, Status, TestPattern, Sums or Opaque
         The content; `Opaque` for a type that this version does not know.
 
     Raises
@@ -347,7 +346,7 @@ def decode_packet(packet: bytes, /) -> Event | Status | TestPattern | Opaque:
 
 def _read_body(
     kind: int, body: bytes, header: PacketHeader, at: int
-) -> Event | Status | TestPattern | Opaque:
+) -> Event | Status | TestPattern | Sums | Opaque:
     if kind == PacketType.EVENT:
         return _read_event(body, header, at)
     if kind == PacketType.STATUS:
@@ -358,6 +357,8 @@ def _read_body(
         return Status(header, **values)  # pyright: ignore[reportArgumentType]
     if kind == PacketType.TEST:
         return _read_test(body, header, at)
+    if kind == PacketType.SUMS:
+        return unpack_sums(body, header, at)
     return Opaque(header, kind, body)
 
 

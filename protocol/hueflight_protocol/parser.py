@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from .errors import AbortedFrameError, PacketError
 from .frame import Frame
 from .frame_decoder import read_frame
-from .packets import Event, Opaque, Status, TestPattern, decode_packet, packet_size
+from .packets import Event, Opaque, Status, Sums, TestPattern, decode_packet, packet_size
 from .walk import PREFIX_BYTES, FrameWalk, header_size
 from .wire import MAGIC, PacketType
 
-Content = Frame | Event | Status | TestPattern | Opaque
+Content = Frame | Event | Status | TestPattern | Sums | Opaque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +28,7 @@ class Packet:
         Byte of the stream at which it starts.
     data : bytes
         The packet as it was received.
-    content : Frame, Event, Status, TestPattern or Opaque
+    content : Frame, Event, Status, TestPattern, Sums or Opaque
         What it carries.
     """
 

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import product
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -201,11 +201,6 @@ def _c_address(register: Register) -> str:
     """Return the arguments and the value of a register's address macro."""
     if not register.count:
         return f" {register.address:#05x}u"
-    names = list(_letters(len(register.count)))
+    names = "ijkl"[: len(register.count)]
     terms = [f"{stride}u * ({name})" for name, stride in zip(names, register.strides, strict=True)]
     return f"({', '.join(names)}) ({register.address:#05x}u + {' + '.join(terms)})"
-
-
-def _letters(count: int) -> Iterator[str]:
-    for number in range(count):
-        yield chr(ord("i") + number)

@@ -39,7 +39,7 @@ class PacketType(IntEnum):
     EVENT = 2
     STATUS = 3
     TEST = 4
-    HISTOGRAM = 5
+    SUMS = 5
 
 
 class FrameFlags(IntFlag):
@@ -199,6 +199,28 @@ STATUS_BODY = Layout(
     )
 )
 """Body of a status packet."""
+
+SUMS_BODY = Layout(
+    Struct(
+        "picture" / U32 * "number of the picture since the capture began, modulo 2^32",
+        "first_pixel" / U32 * "number of the first pixel of this packet, in readout order",
+        "pixels" / U32 * "pixels of this packet, 1 or more",
+        "rows" / U16 * "of the picture, 1 to 1024",
+        "cols" / U16 * "of the picture, 1 to 1024",
+        "frames" / U32 * "frames that the sums hold",
+        "missed" / U32 * "frames that came meanwhile and are not in them, saturating",
+        "photons" / U64 * "codes that were added, over all pixels of the picture",
+        "saturated" / U32 * "pixels of this packet with a saturated sum",
+        "tables" / U32 * "hash of the tables",
+        "offsets" / U32 * "CRC-32C of the offsets, a signed byte for each pixel; 0 = none is moved",
+        "periods" / U32 * "periods per exposure",
+        "code_bits" / U8 * "width of a code, 1 to 16",
+        "sums" / U8 * "sums per pixel, 1 to 32",
+        "flags" / U16 * "see frame flags",
+        "reserved" / U32 * "0",
+    )
+)
+"""Start of the body of a packet of sums; the widths and the packed sums follow."""
 
 TEMPERATURE_UNKNOWN = -(1 << 31)
 

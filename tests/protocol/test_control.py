@@ -119,6 +119,8 @@ def test_a_board_acts_on_pulses_and_keys_and_can_refuse():
     assert ask(board, control.write(3, address, [1])).result == hp.Result.REFUSED
     assert board.get("pulse", 0, 0, 0) == 0
     assert len(seen) == 2
+    with pytest.raises(hp.RegisterError, match="pulse takes 3 indices, got"):
+        board.get("pulse", 0)
 
 
 def test_w1c_bits_are_cleared_by_ones():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import hueflight_protocol as hp
@@ -132,10 +132,12 @@ def bursts(draw: st.DrawFn) -> tuple[list[bytes], bytes, set[int]]:
         stream += changed
         if packet not in changed:
             hit.add(number)
+    # A packet that lost its last byte is whole again if the next one begins with that byte.
+    assume(all(packets[number] not in stream for number in hit))
     return packets, bytes(stream), hit
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(bursts(), st.integers(1, 500))
 def test_bursts_cost_the_packets_they_hit_and_no_others(
     case: tuple[list[bytes], bytes, set[int]], piece: int
@@ -156,7 +158,7 @@ def test_bursts_cost_the_packets_they_hit_and_no_others(
         assert parser.report.missing == alive[-1] - alive[0] + 1 - len(alive)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=600), st.integers(1, 100))
 def test_random_bytes_are_only_counted(noise: bytes, piece: int):
     parser = hp.PacketParser()

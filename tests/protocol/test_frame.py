@@ -33,7 +33,7 @@ def encode(codes: np.ndarray, code_bits: int = 9, run: int = 512, **options: int
     return hp.encode_frame(codes, code_bits=code_bits, run=run, **numbers)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(frames())
 def test_decoding_inverts_encoding(case: tuple[np.ndarray, int, int]):
     codes, code_bits, run = case
@@ -46,7 +46,7 @@ def test_decoding_inverts_encoding(case: tuple[np.ndarray, int, int]):
     assert encode(frame.codes, code_bits, run) == packet
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.builds(
         hp.FrameHeader,
@@ -199,3 +199,16 @@ def test_an_error_names_value_byte_and_rule():
         hp.decode_frame(packet)
     assert str(caught.value) == "version 9, this parser reads 1 (byte 4 of the packet, rule P3)"
     assert (caught.value.rule, caught.value.offset) == ("P3", 4)
+
+
+@pytest.mark.parametrize(
+    ("packet", "rule", "message"),
+    [
+        (hp.encode_event(hp.Event(hp.PacketHeader(sequence=0), 1)) * 2, "P4", "is not a frame"),
+        (bytes(80), "P2", "magic is 00 00 00 00"),
+    ],
+)
+def test_what_is_no_frame_packet_is_refused(packet: bytes, rule: str, message: str):
+    with pytest.raises(hp.PacketError, match=message) as caught:
+        hp.decode_frame(packet)
+    assert caught.value.rule == rule

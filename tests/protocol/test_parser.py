@@ -26,13 +26,13 @@ def mixed_stream() -> tuple[bytes, int]:
         frame(2),
         frame(3, abort_at=2),
         hp.encode_status(hp.Status(hp.PacketHeader(sequence=4), frames_sent=4)),
-        hp.encode_packet(hp.PacketType.HISTOGRAM, b"x" * 77, hp.PacketHeader(sequence=5)),
+        hp.encode_packet(6, b"x" * 77, hp.PacketHeader(sequence=5)),
         frame(6),
     ]
     return b"".join(packets), len(packets)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.integers(0, 3000), max_size=20))
 def test_pieces_do_not_matter(cuts: list[int]):
     stream, count = mixed_stream()

@@ -16,6 +16,7 @@ MAPS = [
     hp.camera_map(),
     hp.camera_map(rows=1, cols=1, code_bits=1),
     hp.camera_map(rows=1024, cols=1024, code_bits=16),
+    hp.camera_map(reduction=hp.ReductionRoom()),
 ]
 
 
@@ -107,6 +108,8 @@ def registers_of(*parts: hp.Field, **options) -> hp.Register:
         (lambda: hp.illuminator_map(channels=33), "channels = 33: must be from 1 to 32"),
         (lambda: hp.illuminator_map(pulses=0), "pulses = 0: must be from 1 to 4"),
         (lambda: hp.camera_map(rows=1025), "rows = 1025: must be from 1 to 1024"),
+        (lambda: hp.ReductionRoom(sums=33), "sums = 33: must be from 1 to 32"),
+        (lambda: hp.ReductionRoom(group=6), "group = 6: must be a multiple of 4"),
         (lambda: hp.illuminator_map()["trigger"].encode(colour=1), "no field 'colour'; it has so"),
         (lambda: hp.illuminator_map()["trigger"].encode(source=4), "source = 4: must be from 0 to"),
         (lambda: hp.illuminator_map()["pulse"].address_of(1), "pulse takes 3 indices, got"),

@@ -12,7 +12,10 @@ from hueflight_protocol.typed_registers import camera, illuminator
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "protocol" / "hueflight_protocol" / "typed_registers"
-MAPS = ((camera, hp.camera_map(rows=5, cols=7)), (illuminator, hp.illuminator_map(channels=3)))
+MAPS = (
+    (camera, hp.camera_map(rows=5, cols=7, reduction=hp.ReductionRoom())),
+    (illuminator, hp.illuminator_map(channels=3, external_clock=True)),
+)
 
 
 def test_the_committed_modules_are_current(tmp_path: Path):

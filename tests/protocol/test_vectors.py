@@ -41,6 +41,12 @@ def test_the_set_is_whole_and_small():
     assert sum(path.stat().st_size for path in VECTORS.iterdir()) < 1_000_000
 
 
+SUMS_FIELDS = (
+    "picture", "first_pixel", "rows", "cols", "frames", "missed", "photons", "saturated", "tables",
+    "offsets", "periods", "code_bits", "flags",
+)  # fmt: skip
+
+
 def described(packet: hp.Packet) -> dict:
     """A delivered packet in the words of the vectors."""
     content = packet.content
@@ -68,6 +74,11 @@ def described(packet: hp.Packet) -> dict:
             "last_word": words[-1],
             "errors": content.errors(),
         }
+    if isinstance(content, hp.Sums):
+        fields = {name: getattr(content, name) for name in SUMS_FIELDS}
+        lists = {"widths": list(content.widths), "values": content.values.tolist()}
+        head = dataclasses.asdict(content.header)
+        return place | {"kind": "sums"} | head | fields | lists
     if isinstance(content, hp.Opaque):
         fields["body"] = content.body.hex()
     kind = {"TestPattern": "test"}.get(type(content).__name__, type(content).__name__.lower())

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ..camera_map import SyntheticSource
+from ..reduction_registers import ReductionMode
 from ..register_value import RegisterValue
 from ..wire import PatternKind
 from .common import (
@@ -47,6 +48,17 @@ __all__ = [
     "Periods",
     "PixelMask",
     "Readout",
+    "Reduction",
+    "ReductionCodes",
+    "ReductionEntries",
+    "ReductionFrames",
+    "ReductionMove",
+    "ReductionMoved",
+    "ReductionOffsets",
+    "ReductionRoom",
+    "ReductionStore",
+    "ReductionTables",
+    "ReductionWidth",
     "RequestErrors",
     "Requests",
     "RoiCols",
@@ -813,6 +825,217 @@ class TestSend(RegisterValue):
     NAME: ClassVar[str] = "test_send"
     ADDRESS: ClassVar[int] = 0x004A
     VALUE_MAX: ClassVar[int] = 1
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReductionRoom(RegisterValue):
+    """What the reduction has room for.
+
+    Attributes
+    ----------
+    sums : int
+        Sums per pixel.
+    entry_bits : int
+        Of a table entry, in bit.
+    sum_bits : int
+        Of a sum, in bit.
+    group : int
+        Whose offsets are stored together, in pixel.
+    """
+
+    NAME: ClassVar[str] = "reduction_room"
+    ADDRESS: ClassVar[int] = 0x0050
+    SUMS_MAX: ClassVar[int] = 255
+    ENTRY_BITS_MAX: ClassVar[int] = 255
+    SUM_BITS_MAX: ClassVar[int] = 255
+    GROUP_MAX: ClassVar[int] = 255
+
+    sums: int
+    entry_bits: int
+    sum_bits: int
+    group: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reduction(RegisterValue):
+    """What is sent.
+
+    Attributes
+    ----------
+    mode : ReductionMode | int
+        What is sent.
+    sums : int
+        Sums per pixel in use.
+    """
+
+    NAME: ClassVar[str] = "reduction"
+    ADDRESS: ClassVar[int] = 0x0051
+    MODE_MAX: ClassVar[int] = 3
+    SUMS_MAX: ClassVar[int] = 255
+
+    mode: ReductionMode | int = 0
+    sums: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionFrames(RegisterValue):
+    """Frames of a picture.
+
+    Attributes
+    ----------
+    value : int
+        1 or more, in frame.
+    """
+
+    NAME: ClassVar[str] = "reduction_frames"
+    ADDRESS: ClassVar[int] = 0x0052
+    VALUE_MAX: ClassVar[int] = 4294967295
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReductionCodes(RegisterValue):
+    """Range of codes that stand for a time.
+
+    Attributes
+    ----------
+    first : int
+        First code that adds.
+    last : int
+        Last code that adds.
+    """
+
+    NAME: ClassVar[str] = "reduction_codes"
+    ADDRESS: ClassVar[int] = 0x0053
+    FIRST_MAX: ClassVar[int] = 65535
+    LAST_MAX: ClassVar[int] = 65535
+
+    first: int = 0
+    last: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionTables(RegisterValue):
+    """Hash of the tables.
+
+    Attributes
+    ----------
+    value : int
+        As packets state it.
+    """
+
+    NAME: ClassVar[str] = "reduction_tables"
+    ADDRESS: ClassVar[int] = 0x0054
+    VALUE_MAX: ClassVar[int] = 4294967295
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionMoved(RegisterValue):
+    """CRC-32C of the offsets.
+
+    Attributes
+    ----------
+    value : int
+        As packets state it.
+    """
+
+    NAME: ClassVar[str] = "reduction_moved"
+    ADDRESS: ClassVar[int] = 0x0055
+    VALUE_MAX: ClassVar[int] = 4294967295
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionStore(RegisterValue):
+    """Store entries in the tables; only between captures.
+
+    Attributes
+    ----------
+    value : int
+        Code whose entries `reduction_entries` holds.
+    """
+
+    NAME: ClassVar[str] = "reduction_store"
+    ADDRESS: ClassVar[int] = 0x0056
+    VALUE_MAX: ClassVar[int] = 65535
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionMove(RegisterValue):
+    """Store offsets; only between captures.
+
+    Attributes
+    ----------
+    value : int
+        Group of pixels whose offsets `reduction_offsets` holds.
+    """
+
+    NAME: ClassVar[str] = "reduction_move"
+    ADDRESS: ClassVar[int] = 0x0057
+    VALUE_MAX: ClassVar[int] = 1048575
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionWidth(RegisterValue):
+    """Width of each sum.
+
+    Attributes
+    ----------
+    value : int
+        1 or more, in bit.
+    """
+
+    NAME: ClassVar[str] = "reduction_width"
+    ADDRESS: ClassVar[int] = 0x0060
+    VALUE_MAX: ClassVar[int] = 63
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReductionEntries(RegisterValue):
+    """Entries of one code; word w holds those of two sums.
+
+    Attributes
+    ----------
+    even : int
+        Of sum 2·w.
+    odd : int
+        Of sum 2·w + 1.
+    """
+
+    NAME: ClassVar[str] = "reduction_entries"
+    ADDRESS: ClassVar[int] = 0x0080
+    EVEN_MAX: ClassVar[int] = 65535
+    ODD_MAX: ClassVar[int] = 65535
+
+    even: int = 0
+    odd: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionOffsets(RegisterValue):
+    """Offsets of one group of pixels.
+
+    Attributes
+    ----------
+    value : int
+        Byte b of word w: pixel 4·w + b of the group, signed.
+    """
+
+    NAME: ClassVar[str] = "reduction_offsets"
+    ADDRESS: ClassVar[int] = 0x00A0
+    VALUE_MAX: ClassVar[int] = 4294967295
 
     value: int
 

@@ -30,6 +30,8 @@ __all__ = [
     "Clear",
     "ClockFailures",
     "ClockHz",
+    "ClockSource",
+    "ClockState",
     "DutyLimited",
     "Faults",
     "Features",
@@ -39,6 +41,7 @@ __all__ = [
     "Phase",
     "PhaseCount",
     "Pulse",
+    "ReferenceHz",
     "RequestErrors",
     "Requests",
     "Restarts",
@@ -82,15 +85,19 @@ class Features(RegisterValue):
         The temperature is measured.
     clock_supervision : int
         Failures of the clock are detected and counted.
+    external_clock : int
+        The board can run from an external clock.
     """
 
     NAME: ClassVar[str] = "features"
     ADDRESS: ClassVar[int] = 0x0007
     TEMPERATURE_MAX: ClassVar[int] = 1
     CLOCK_SUPERVISION_MAX: ClassVar[int] = 1
+    EXTERNAL_CLOCK_MAX: ClassVar[int] = 1
 
     temperature: int = 0
     clock_supervision: int = 0
+    external_clock: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,6 +163,8 @@ class Faults(RegisterValue):
         A counter stands at its largest value.
     clock_failed : int
         The clock failed, which disarmed the board.
+    reference_lost : int
+        The external clock was lost while in use.
     """
 
     NAME: ClassVar[str] = "faults"
@@ -166,6 +175,7 @@ class Faults(RegisterValue):
     TRIGGER_IGNORED_MAX: ClassVar[int] = 1
     SATURATED_MAX: ClassVar[int] = 1
     CLOCK_FAILED_MAX: ClassVar[int] = 1
+    REFERENCE_LOST_MAX: ClassVar[int] = 1
 
     watchdog: int = 0
     on_limit: int = 0
@@ -173,6 +183,7 @@ class Faults(RegisterValue):
     trigger_ignored: int = 0
     saturated: int = 0
     clock_failed: int = 0
+    reference_lost: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,6 +227,65 @@ class TickFs(RegisterValue):
 
     NAME: ClassVar[str] = "tick_fs"
     ADDRESS: ClassVar[int] = 0x0011
+    VALUE_MAX: ClassVar[int] = 4294967295
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSource(RegisterValue):
+    """Clock that is wanted, in builds with an external one; a change disarms the board.
+
+    Attributes
+    ----------
+    external : int
+        Run from the external clock; asks anew when it becomes 1.
+    """
+
+    NAME: ClassVar[str] = "clock_source"
+    ADDRESS: ClassVar[int] = 0x0012
+    EXTERNAL_MAX: ClassVar[int] = 1
+
+    external: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockState(RegisterValue):
+    """Clock in use, in builds with an external clock.
+
+    Attributes
+    ----------
+    external : int
+        The external clock is in use.
+    present : int
+        There is an external clock of the right frequency.
+    lost : int
+        It was lost while in use; until it is asked for again.
+    """
+
+    NAME: ClassVar[str] = "clock_state"
+    ADDRESS: ClassVar[int] = 0x0013
+    EXTERNAL_MAX: ClassVar[int] = 1
+    PRESENT_MAX: ClassVar[int] = 1
+    LOST_MAX: ClassVar[int] = 1
+
+    external: int = 0
+    present: int = 0
+    lost: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceHz(RegisterValue):
+    """Frequency that the external clock must have, in builds with one.
+
+    Attributes
+    ----------
+    value : int
+        Value, in Hz.
+    """
+
+    NAME: ClassVar[str] = "reference_hz"
+    ADDRESS: ClassVar[int] = 0x0014
     VALUE_MAX: ClassVar[int] = 4294967295
 
     value: int

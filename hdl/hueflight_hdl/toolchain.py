@@ -26,6 +26,8 @@ TOOLS = {
     "icepack": ("ICEPACK", ("yowasp-icepack", "icepack")),
     "yices": ("YICES", ("yices-smt2", "yices")),
     "verilator": ("VERILATOR", ("verilator",)),
+    "openFPGALoader": ("OPENFPGALOADER", ("openFPGALoader",)),
+    "ecpprog": ("ECPPROG", ("ecpprog",)),
     "c++": ("CXX", ("c++", "g++", "clang++")),
 }
 """For each tool: the environment variable that overrides it, and the names of its command."""
@@ -33,6 +35,7 @@ TOOLS = {
 _PACKAGES = "pip install 'hueflight[bitstream]'"
 _REMEDIES = {
     "c++": "install a C++ compiler",
+    "openFPGALoader": "install it, or ecpprog for ECP5 boards, from your system's packages",
     "verilator": "install Verilator 5 or later from your system's packages",
 }
 
@@ -78,6 +81,11 @@ def tool_environment() -> dict[str, str]:
     beside = str(Path(sys.executable).parent)
     environment["PATH"] = os.pathsep.join((beside, environment.get("PATH", "")))
     return environment
+
+
+def offer_yosys() -> None:
+    """Let Amaranth find the yosys of these tools; it calls yosys itself to write Verilog."""
+    os.environ.setdefault("YOSYS", tool_environment().get("YOSYS", "yosys"))
 
 
 def run_tool(name: str, *arguments: str, cwd: Path) -> str:

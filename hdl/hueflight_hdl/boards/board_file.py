@@ -7,9 +7,11 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from amaranth.build import Attrs, Clock, Pins, Resource, Subsignal
 
+from .ecp5_pll import EDGES
 from .settings import check_settings
 from .target import TargetError
 
@@ -26,8 +28,13 @@ SIGNALS = {
     "marker": "o",
 }
 """Signals of the illuminator and their directions."""
+OPTIONAL = {"reference": "i", "clock_out": "o"}
+"""Signals that a board may have: an external clock, and the clock in use."""
 MARKERS = 8
-_TOP = ("name", "family", "device", "package", "speed", "clock", "pins", "attributes", "settings")
+_TOP = (
+    *("name", "family", "device", "package", "speed", "loader"),
+    *("clock", "pins", "attributes", "settings"),
+)
 
 
 @dataclass(frozen=True)
@@ -48,12 +55,16 @@ class BoardFile:
         Its frequency.
     pulse_hz : float or None
         Frequency of the domain `pulse`; by default that of the family.
+    edge : str or None
+        Edge of an ECP5 with the LEDs, ``"left"`` or ``"right"``; an external clock needs it.
     pins : mapping of str to tuple of str
         Package pins of each signal, bit 0 first.
     attributes : mapping of str to mapping
         Attributes of pins for each signal; ``default`` is for those that have none.
     settings : mapping of str to int
         Sizes and limits, see `boards.settings`.
+    loader : tuple of str
+        Arguments of openFPGALoader that name the board or its cable.
     """
 
     name: str
@@ -64,9 +75,11 @@ class BoardFile:
     clock_pin: str
     clock_hz: float
     pulse_hz: float | None
+    edge: str | None
     pins: Mapping[str, tuple[str, ...]]
     attributes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     settings: Mapping[str, int] = field(default_factory=dict)
+    loader: tuple[str, ...] = ()
 
     def resources(self) -> list[Resource]:
         """Return the Amaranth resources of all signals."""
@@ -77,13 +90,13 @@ class BoardFile:
             Resource("uart", 0, *lines),
             *(
                 Resource(name, 0, self._pins(name), self._attrs(name))
-                for name in SIGNALS
+                for name in self.pins
                 if name not in ("rx", "tx")
             ),
         ]
 
     def _pins(self, name: str) -> Pins:
-        return Pins(" ".join(self.pins[name]), dir=SIGNALS[name])
+        return Pins(" ".join(self.pins[name]), dir={**SIGNALS, **OPTIONAL}[name])
 
     def _attrs(self, name: str) -> Attrs:
         return Attrs(**self.attributes.get(name, self.attributes.get("default", {})))
@@ -117,16 +130,23 @@ def read_board_file(path: Path, /) -> BoardFile:
     family = reader.text("family")
     if family not in FAMILIES:
         raise TargetError(f"{path}: family = {family!r}: must be one of {', '.join(FAMILIES)}")
+    if family == "ice40" and "speed" in content:
+        raise TargetError(f"{path}: speed: the device of an ice40 board has it; leave it out")
     clock = reader.table("clock")
-    reader.only(clock, ("pin", "hz", "pulse_hz"), "clock.")
+    reader.only(clock, ("pin", "hz", "pulse_hz", "edge"), "clock.")
+    edge = clock.get("edge")
+    if "edge" in clock and (family != "ecp5" or edge not in EDGES):
+        raise TargetError(
+            f"{path}: clock.edge = {edge!r}: must be {' or '.join(EDGES)}, on an ecp5 board"
+        )
     pins = reader.pins(reader.table("pins"), clock.get("pin"))
-    attributes = content.get("attributes", {})
-    known = ("default", "clock", *SIGNALS)
+    attributes = reader.table("attributes", {})
+    known = ("default", "clock", *SIGNALS, *OPTIONAL)
     reader.only(attributes, known, "attributes.")
     if wrong := [name for name, table in attributes.items() if not isinstance(table, dict)]:
         raise TargetError(f"{path}: attributes.{wrong[0]}: must be a table of NAME = VALUE")
     try:
-        settings = check_settings("illuminator", content.get("settings", {}))
+        settings = check_settings("illuminator", reader.table("settings", {}))
     except TargetError as error:
         raise TargetError(f"{path}: settings: {error}") from error
     return BoardFile(
@@ -138,12 +158,14 @@ def read_board_file(path: Path, /) -> BoardFile:
         clock_pin=str(clock.get("pin")),
         clock_hz=reader.frequency(clock, "hz"),
         pulse_hz=reader.frequency(clock, "pulse_hz") if "pulse_hz" in clock else None,
+        edge=edge,
         pins=pins,
         attributes={
             name: {key: str(value) for key, value in table.items()}
             for name, table in attributes.items()
         },
         settings=settings,
+        loader=reader.texts("loader"),
     )
 
 
@@ -168,11 +190,20 @@ class _Reader:
             raise TargetError(f"{self.path}: {name} = {value!r}: must be a text")
         return value
 
-    def table(self, name: str) -> dict[str, object]:
+    def texts(self, name: str) -> tuple[str, ...]:
+        """Return an entry that must be a list of texts; none where it is not there."""
+        value = self.content.get(name, [])
+        if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
+            raise TargetError(f"{self.path}: {name} = {value!r}: must be a list of texts")
+        return tuple(value)
+
+    def table(self, name: str, default: object = None) -> dict[str, Any]:
         """Return an entry that must be a table."""
-        value = self.content.get(name)
-        if not isinstance(value, dict):
+        value = self.content.get(name, default)
+        if value is None:
             raise TargetError(f"{self.path}: [{name}] is missing")
+        if not isinstance(value, dict):
+            raise TargetError(f"{self.path}: {name} = {value!r}: must be a table")
         return value
 
     def frequency(self, table: Mapping[str, object], name: str) -> float:
@@ -184,11 +215,11 @@ class _Reader:
 
     def pins(self, table: Mapping[str, object], clock_pin: object) -> dict[str, tuple[str, ...]]:
         """Return the pins of all signals."""
-        self.only(table, tuple(SIGNALS), "pins.")
+        self.only(table, (*SIGNALS, *OPTIONAL), "pins.")
         if not isinstance(clock_pin, str):
             raise TargetError(f"{self.path}: clock.pin = {clock_pin!r}: must be a pin")
         found: dict[str, tuple[str, ...]] = {}
-        for name in SIGNALS:
+        for name in (*SIGNALS, *(name for name in OPTIONAL if name in table)):
             value = table.get(name)
             several = name in ("led_pulse", "marker")
             group = value if isinstance(value, list) else [value]

@@ -17,6 +17,7 @@ from ..common.version import source_hash
 from .ecp5_clocks import AIM
 from .ecp5_pll import PllOutput, ecp5_pll
 from .pins import drive_pin, read_pin
+from .sensor_lanes import FABRIC_CLOCK, SENSOR_HZ, check_lanes
 from .settings import camera_settings, set_camera
 from .target import Options, Target, TargetError
 
@@ -113,6 +114,7 @@ def camera_target(
     /,
     *,
     link_mhz: dict[str, float],
+    sensor_lanes: int = 0,
 ) -> Target:
     """Return the camera on an ECP5 board.
 
@@ -126,16 +128,21 @@ def camera_target(
         Choices of the user.
     link_mhz : dict of str to float
         The clocks of its link, and what they run at.
+    sensor_lanes : int
+        Data lanes that the board has pins for, see `sensor_lanes`.
     """
     config = camera_config(options)
+    check_lanes(board, config, sensor_lanes)
+    sensor_mhz = {"sensor": SENSOR_HZ / 1e6} if config.sensor else {}
     return Target(
         design="camera",
         board=board,
         platform=platform,
         top=lambda: top(config),
-        clocks_mhz={"sync": SYNC_HZ / 1e6, **link_mhz},
+        clocks_mhz={"sync": SYNC_HZ / 1e6, **link_mhz, **sensor_mhz},
         lanes=config.form.lanes,
         settings=camera_settings(config),
+        registers=config.registers(),
         family="ecp5",
-        options=FAST_ROUTES,
+        options={**FAST_ROUTES, **(FABRIC_CLOCK if config.sensor else {})},
     )

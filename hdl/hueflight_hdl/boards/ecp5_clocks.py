@@ -21,6 +21,7 @@ from amaranth.hdl import (
 from amaranth.lib.cdc import AsyncFFSynchronizer
 
 from .ecp5_pll import PllOutput, ecp5_pll
+from .ecp5_reference import Ecp5Reference
 from .target import TargetError
 
 PULSE_HZ = 200e6
@@ -71,7 +72,7 @@ class IoStart(Elaboratable):
     clock : Value
         From the oscillator.
     locked : Value
-        The PLL has locked; asynchronous.
+        The clocks are as they should be; asynchronous.
 
     Attributes
     ----------
@@ -104,7 +105,7 @@ class IoStart(Elaboratable):
 
 
 class Ecp5Clocks(Elaboratable):
-    """Domains `edge` (twice `pulse`), `pulse` (200 MHz) and `sync` (a quarter of `pulse`).
+    """Domains `edge` (twice `pulse`), `pulse` and `sync` (a quarter of `pulse`).
 
     No domain has a reset. All clocks are stopped until the PLL has locked and the I/O registers
     have been reset, so that every register leaves its configured value on the same clean edge.
@@ -117,6 +118,8 @@ class Ecp5Clocks(Elaboratable):
         Frequency of the oscillator; twice `pulse_hz` must be a multiple of it.
     pulse_hz : float
         Frequency of the domain `pulse`.
+    reference : Ecp5Reference, optional
+        An external clock that the host may choose instead of the oscillator.
 
     Attributes
     ----------
@@ -127,10 +130,18 @@ class Ecp5Clocks(Elaboratable):
         Resets the I/O registers; it is released while the edge clock is stopped.
     """
 
-    def __init__(self, clock: Value, clock_hz: float, *, pulse_hz: float = PULSE_HZ) -> None:
+    def __init__(
+        self,
+        clock: Value,
+        clock_hz: float,
+        *,
+        pulse_hz: float = PULSE_HZ,
+        reference: Ecp5Reference | None = None,
+    ) -> None:
         self.clock = clock
         self.clock_hz = clock_hz
         self.pulse_hz = pulse_hz
+        self.reference = reference
         self.failed = Signal(init=1)
         self.io_reset = Signal(init=1)
 
@@ -152,14 +163,22 @@ class Ecp5Clocks(Elaboratable):
         fast = Signal()
         slow = Signal()
         locked = Signal()
+        source, good, reset = self.clock, locked, None
+        if self.reference is not None:
+            m.submodules.reference = self.reference
+            source, reset = self.reference.chosen, self.reference.hold
+            good = locked & ~self.reference.hold
+            m.d.comb += self.reference.locked.eq(locked)
         m.submodules.pll = ecp5_pll(
-            PllOutput(self.clock, self.clock_hz),
+            PllOutput(source, self.clock_hz),
             PllOutput(fast, 2 * self.pulse_hz),
             PllOutput(slow, self.pulse_hz / CLOCK_RATIO),
             vco_hz=4 * self.pulse_hz,
             locked=locked,
+            reset=reset,
+            place=None if self.reference is None else self.reference.place,
         )
-        m.submodules.start = start = IoStart(self.clock, locked)
+        m.submodules.start = start = IoStart(self.clock, good)
         m.d.comb += self.io_reset.eq(start.reset)
         m.submodules.edge = Instance(
             "ECLKSYNCB", i_ECLKI=fast, i_STOP=start.stop, o_ECLKO=ClockSignal("edge")
@@ -173,7 +192,7 @@ class Ecp5Clocks(Elaboratable):
             o_CDIVX=ClockSignal("pulse"),
         )
         m.submodules.failed = AsyncFFSynchronizer(
-            ~locked, self.failed, o_domain="sync", stages=RECOVERY_CLOCKS
+            ~good, self.failed, o_domain="sync", stages=RECOVERY_CLOCKS
         )
         m.submodules.sync = Instance(
             "DCCA", i_CLKI=slow, i_CE=~start.stop, o_CLKO=ClockSignal("sync")

@@ -6,17 +6,20 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from amaranth.build import Platform
-from amaranth.hdl import Elaboratable, Module
+from amaranth.hdl import Elaboratable, Module, Signal
 from amaranth.lib import io
 
 from ..common.version import source_hash
 from ..illuminator.gearing.ecp5 import Ecp5Gearing
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import PulseConfig
-from .ecp5_clocks import CLOCK_RATIO, PULSE_HZ, Ecp5Clocks
+from .ecp5_clocks import CLOCK_RATIO, PULSE_HZ, Ecp5Clocks, check_clocks
+from .ecp5_pll import pll_place
+from .ecp5_reference import Ecp5Reference, clock_output, conversion
 from .illuminator_pins import add_from_platform
-from .pins import drive
-from .settings import choose_illuminator, illuminator_settings
+from .illuminator_target import target_of
+from .pins import drive, drive_pin, read_pin
+from .settings import choose_illuminator
 from .target import Options, Target
 
 FAST_ROUTES = {
@@ -56,25 +59,51 @@ class Ecp5Illuminator(Elaboratable):
     ----------
     config : IlluminatorConfig
         What is built.
-    armed : tuple of str and int
-        Resource of the indicator LED that is lit while the board is armed.
+    armed : str
+        Resource of the indicator LED that is lit while the board is armed; of ``rgb_led`` the red
+        one is.
+    edge : {"left", "right"}, optional
+        Edge of the device with the LEDs, for boards with an external clock.
     """
 
-    def __init__(self, config: IlluminatorConfig, /, *, armed: tuple[str, int]) -> None:
+    def __init__(
+        self, config: IlluminatorConfig, /, *, armed: str, edge: str | None = None
+    ) -> None:
         self.armed = armed
+        self.edge = edge
         self.config = config
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        clocks = Ecp5Clocks(clock.i, platform.default_clk_frequency, pulse_hz=self.config.pulse_hz)
+        clock_hz = platform.default_clk_frequency
+        reference = self._reference(m, platform, clock.i) if self.config.reference_hz else None
+        clocks = Ecp5Clocks(clock.i, clock_hz, pulse_hz=self.config.pulse_hz, reference=reference)
         clocks.add_to(m, platform)
         gearing = Ecp5Gearing(clocks.io_reset)
         illuminator = add_from_platform(m, self.config, gearing, platform, clocks.failed)
-        lamp = platform.request(*self.armed, dir="-")
-        drive(m, "armed", lamp.r if self.armed[0] == "rgb_led" else lamp, illuminator.armed)
+        if reference is not None:
+            m.d.comb += [
+                reference.wanted.eq(illuminator.reference_wanted),
+                illuminator.reference_state.eq(reference.state),
+            ]
+        lamp = platform.request(self.armed, 0, dir="-")
+        drive(m, "armed", lamp.r if self.armed == "rgb_led" else lamp, illuminator.armed)
         return m
+
+    def _reference(self, m: Module, platform: Platform, clock: Signal) -> Ecp5Reference:
+        """Return the choice of the clock, and send the chosen one out where there is a pin."""
+        external = read_pin(m, platform, "reference")
+        clock_hz = round(platform.default_clk_frequency)
+        assert self.edge is not None  # illuminator_target has refused it
+        place = pll_place(platform.device, self.edge)
+        reference = Ecp5Reference(clock, clock_hz, external, self.config.reference_hz, place=place)
+        if ("clock_out", 0) in platform.resources:
+            pin = Signal()
+            clock_output(m, reference.chosen, pin)
+            drive_pin(m, platform, "clock_out", pin)
+        return reference
 
 
 def illuminator_target(
@@ -83,9 +112,10 @@ def illuminator_target(
     options: Options,
     /,
     *,
-    armed: tuple[str, int],
+    armed: str,
     leds: int,
     pulse_hz: float = PULSE_HZ,
+    edge: str | None = None,
 ) -> Target:
     """Return the illuminator on an ECP5 board.
 
@@ -97,26 +127,41 @@ def illuminator_target(
         Returns the platform with all pins.
     options : Options
         Choices of the user.
-    armed : tuple of str and int
+    armed : str
         See `Ecp5Illuminator`.
     leds : int
         Pins that the board has for LEDs.
     pulse_hz : float
         Frequency of the domain `pulse`; a tick is a quarter of its clock.
+    edge : {"left", "right"}, optional
+        See `Ecp5Illuminator`; without it there is no external clock.
 
     Returns
     -------
     Target
         What can be built.
+
+    Raises
+    ------
+    TargetError
+        If the clocks cannot be made, or there are more channels than pins.
     """
-    config = choose_illuminator(ecp5_config(pulse_hz=pulse_hz), options, board=board, leds=leds)
-    return Target(
-        design="illuminator",
+    made = platform()
+    check_clocks(made.default_clk_frequency, pulse_hz)
+    config = choose_illuminator(
+        ecp5_config(pulse_hz=pulse_hz),
+        options,
+        board=board,
+        leds=leds,
+        external_clock=edge is not None and ("reference", 0) in made.resources,
+    )
+    if config.reference_hz:
+        conversion(round(made.default_clk_frequency), config.reference_hz)
+    return target_of(
+        config,
+        lambda: Ecp5Illuminator(config, armed=armed, edge=edge),
         board=board,
         platform=platform,
-        top=lambda: Ecp5Illuminator(config, armed=armed),
-        clocks_mhz={"pulse": config.pulse_hz / 1e6, "sync": config.sync_hz / 1e6},
         family="ecp5",
         options=FAST_ROUTES,
-        settings=illuminator_settings(config),
     )

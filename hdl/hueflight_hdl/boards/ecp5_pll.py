@@ -10,6 +10,33 @@ from dataclasses import dataclass
 
 from amaranth.hdl import Const, Instance, Signal, Value
 
+EDGES = ("left", "right")
+_PLACES = {
+    "12": ("X2/Y49/EHXPLL_LL", "X70/Y49/EHXPLL_LR"),
+    "25": ("X2/Y49/EHXPLL_LL", "X70/Y49/EHXPLL_LR"),
+    "45": ("X2/Y70/EHXPLL_LL", "X88/Y70/EHXPLL_LR"),
+    "85": ("X2/Y94/EHXPLL_LL", "X124/Y94/EHXPLL_LR"),
+}
+"""Names that nextpnr gives to the lower PLLs of each size, left and right."""
+
+
+def pll_place(device: str, edge: str, /) -> str:
+    """Return where a PLL must be to reach the edge clock of the left or right edge.
+
+    Parameters
+    ----------
+    device : str
+        Part, for example ``LFE5U-25F``.
+    edge : {"left", "right"}
+        Edge of the device with the geared pins.
+
+    Returns
+    -------
+    str
+        Name of the place.
+    """
+    return _PLACES[device.partition("-")[2][:2]][EDGES.index(edge)]
+
 
 @dataclass(frozen=True)
 class PllOutput:
@@ -27,6 +54,8 @@ def ecp5_pll(
     *,
     vco_hz: float,
     locked: Signal,
+    reset: Value | None = None,
+    place: str | None = None,
 ) -> Instance:
     """Return a PLL whose first output is its feedback.
 
@@ -39,10 +68,14 @@ def ecp5_pll(
         Of the oscillator, from 400 to 800 MHz; a multiple of what is made.
     locked : Signal
         The outputs are as they should be.
+    reset : Value, optional
+        Stops the oscillator and clears the outputs' dividers; without a clock.
+    place : str, optional
+        See `pll_place`; by default the router takes the PLL next to the reference's pin.
     """
-    more = {}
+    more = {} if place is None else {"a_BEL": place}
     if secondary is not None:
-        more = {
+        more |= {
             "a_FREQUENCY_PIN_CLKOS": f"{secondary.hz / 1e6:g}",
             "p_CLKOS_ENABLE": "ENABLED",
             "p_CLKOS_DIV": round(vco_hz / secondary.hz),
@@ -56,7 +89,7 @@ def ecp5_pll(
         a_FREQUENCY_PIN_CLKOP=f"{primary.hz / 1e6:g}",
         a_ICP_CURRENT="12",
         a_LPF_RESISTOR="8",
-        p_PLLRST_ENA="DISABLED",
+        p_PLLRST_ENA="DISABLED" if reset is None else "ENABLED",
         p_INTFB_WAKE="DISABLED",
         p_STDBY_ENABLE="DISABLED",
         p_DPHASE_SOURCE="DISABLED",
@@ -71,7 +104,7 @@ def ecp5_pll(
         p_CLKOP_DIV=round(vco_hz / primary.hz),
         p_CLKOP_CPHASE=0,
         p_CLKOP_FPHASE=0,
-        i_RST=Const(0),
+        i_RST=Const(0) if reset is None else reset,
         i_STDBY=Const(0),
         i_CLKI=reference.clock,
         i_CLKFB=primary.clock,

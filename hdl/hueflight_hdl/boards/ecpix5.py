@@ -19,6 +19,7 @@ from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_target
 from .ecp5_clocks import AIM
 from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
+from .sensor_lanes import Ecp5LaneInputs, add_sensor
 from .target import Options, Target
 
 # PMODs 0 and 1 lie on the right edge of the device, with the I/O registers for four ticks a clock
@@ -32,6 +33,8 @@ _ILLUMINATOR = [
     Resource("frame_sync", 0, Pins("9", dir="i", conn=("pmod", 1)), _PLAIN),
     Resource("missed", 0, Pins("10", dir="o", conn=("pmod", 1)), _PLAIN),
     Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="o", conn=("pmod", 2)), _PLAIN),
+    Resource("reference", 0, Pins("1", dir="i", conn=("pmod", 3)), _PLAIN),
+    Resource("clock_out", 0, Pins("2", dir="o", conn=("pmod", 3)), _FAST),
 ]
 _CAMERA = [
     Resource("trigger", 0, Pins("1", dir="o", conn=("pmod", 1)), _FAST),
@@ -39,6 +42,15 @@ _CAMERA = [
     Resource("missed", 0, Pins("3", dir="i", conn=("pmod", 1)), _PLAIN),
     Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="i", conn=("pmod", 2)), _PLAIN),
 ]
+# data lanes on PMOD 0, which has nothing else on the camera
+_SENSOR = [
+    Resource("sensor_data", 0, Pins("1 2 3 4 7 8 9 10", dir="i", conn=("pmod", 0)), _PLAIN),
+    Resource("sensor_control", 0, Pins("7", dir="i", conn=("pmod", 1)), _PLAIN),
+    Resource("sensor_clock", 0, Pins("8", dir="i", conn=("pmod", 1)), _PLAIN),
+    Resource("sensor_expose", 0, Pins("1", dir="o", conn=("pmod", 3)), _FAST),
+    Resource("sensor_read", 0, Pins("2", dir="o", conn=("pmod", 3)), _FAST),
+]
+_SENSOR_LANES = 8
 USB_HZ = 60e6
 _PHY_CLOCKS = round(1e-3 * SYNC_HZ)
 """A millisecond of reset for the transceiver, and another until it is used."""
@@ -59,8 +71,9 @@ def illuminator(options: Options, size: str) -> Target:
         f"ecpix5-{size}",
         lambda: _platform(size, _ILLUMINATOR),
         options,
-        armed=("rgb_led", 0),
+        armed="rgb_led",
         leds=9,
+        edge="right",
     )
 
 
@@ -92,7 +105,7 @@ class _UsbClock(Elaboratable):
 
 
 class UsbCamera(Elaboratable):
-    """The camera with a synthetic sensor, behind USB 2 at high speed."""
+    """The camera behind USB 2 at high speed, with a sensor on pins or the synthetic one alone."""
 
     def __init__(self, config: CameraConfig) -> None:
         self.config = config
@@ -116,6 +129,8 @@ class UsbCamera(Elaboratable):
             stp=SimpleNamespace(o=stop),
         )
         camera = add_camera(m, self.config, platform)
+        if self.config.sensor:
+            add_sensor(m, camera, platform, Ecp5LaneInputs(clock.i))
         m.submodules.link = link = UsbLink(bus, serial=f"{self.config.serial:08d}")
         connect(m, camera.packets, link.packets)
         connect(m, link.requests, camera.requests)
@@ -127,8 +142,9 @@ def camera(options: Options, size: str) -> Target:
     """Return the camera on this board, with an FPGA of a size."""
     return camera_target(
         f"ecpix5-{size}",
-        lambda: _platform(size, _CAMERA),
+        lambda: _platform(size, [*_CAMERA, *_SENSOR]),
         UsbCamera,
         options,
         link_mhz={"usb": USB_HZ / 1e6},
+        sensor_lanes=_SENSOR_LANES,
     )

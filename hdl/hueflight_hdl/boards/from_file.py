@@ -17,7 +17,12 @@ from . import ecp5_clocks, ecp5_illuminator, ice40, xc7
 from .board_file import BoardFile, read_board_file
 from .target import Options, Target, TargetError
 
-_ICE40_PULSE_HZ = 100e6
+_FAMILIES: dict[str, tuple[type[Any], Callable[..., Target], float]] = {
+    "ecp5": (LatticeECP5Platform, ecp5_illuminator.illuminator_target, ecp5_clocks.PULSE_HZ),
+    "ice40": (LatticeICE40Platform, ice40.illuminator_target, 100e6),
+    "xc7": (XilinxPlatform, xc7.illuminator_target, xc7.PULSE_HZ),
+}
+"""Platform, function that returns the target, and clock of the pulse generator by default."""
 
 
 def target_from_file(design: str, path: Path, options: Options, /) -> Target:
@@ -79,45 +84,22 @@ def board_target(board: BoardFile, options: Options, /) -> Target:
     leds = len(board.pins["led_pulse"])
     own = {"channels": leds, **board.settings}
     options = replace(options, settings={**own, **options.settings})
-    platform = partial(_platform, board)
-    match board.family:
-        case "ecp5":
-            pulse_hz = board.pulse_hz or ecp5_clocks.PULSE_HZ
-            ecp5_clocks.check_clocks(board.clock_hz, pulse_hz)
-            return ecp5_illuminator.illuminator_target(
-                board.name,
-                platform,
-                options,
-                armed=("armed", 0),
-                leds=leds,
-                pulse_hz=pulse_hz,
-            )
-        case "ice40":
-            return ice40.illuminator_target(
-                board.name,
-                platform,
-                options,
-                armed="armed",
-                leds=leds,
-                pulse_hz=board.pulse_hz or _ICE40_PULSE_HZ,
-            )
-        case _:
-            return xc7.illuminator_target(
-                board.name,
-                platform,
-                options,
-                leds=leds,
-                pulse_hz=board.pulse_hz or xc7.PULSE_HZ,
-            )
+    _, illuminator_target, pulse_hz = _FAMILIES[board.family]
+    made = illuminator_target(
+        board.name,
+        partial(_platform, board),
+        options,
+        armed="armed",
+        leds=leds,
+        pulse_hz=board.pulse_hz or pulse_hz,
+        **({"edge": board.edge} if board.family == "ecp5" else {}),
+    )
+    return replace(made, loader=board.loader)
 
 
 def _platform(board: BoardFile) -> Platform:
     """Return a platform with the board's part and pins."""
-    bases: dict[str, type[Any]] = {
-        "ecp5": LatticeECP5Platform,
-        "ice40": LatticeICE40Platform,
-        "xc7": XilinxPlatform,
-    }
+    base, *_ = _FAMILIES[board.family]
     content = {
         "device": board.device,
         "package": board.package,
@@ -128,7 +110,7 @@ def _platform(board: BoardFile) -> Platform:
     if board.speed:
         content["speed"] = board.speed
     try:
-        return type("BoardFilePlatform", (bases[board.family],), content)()
+        return type("BoardFilePlatform", (base,), content)()
     except (ValueError, TypeError, AssertionError) as error:
         raise TargetError(f"board {board.name}: {error}") from error
 

@@ -19,8 +19,9 @@ from ..illuminator.gearing.portable import DoubleDataRateGearing
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import Limits, PulseConfig
 from .illuminator_pins import add_from_platform
+from .illuminator_target import target_of
 from .pins import drive_pin
-from .settings import choose_illuminator, illuminator_settings
+from .settings import choose_illuminator
 from .target import Options, Target, TargetError
 
 _AIM = 1.15
@@ -147,7 +148,11 @@ class Ice40Clocks(Elaboratable):
 
 
 def ice40_config(pulse_hz: float) -> IlluminatorConfig:
-    """Return the configuration: two pulses per channel, and limits of 100 ns."""
+    """Return the configuration: two pulses per channel, and limits of 100 ns.
+
+    The sequencer's memory is block memory whatever its size: as registers, a program of four steps
+    would take a fifth of an UP5K.
+    """
     ticks = round(_ON_NS * 1e-9 * 2 * pulse_hz)
     pulse = PulseConfig(
         pulses=2, lanes=2, limits=Limits(max_on_ticks=ticks, duty_divisor=8, burst_ticks=ticks)
@@ -158,6 +163,7 @@ def ice40_config(pulse_hz: float) -> IlluminatorConfig:
         clock_ratio=2,
         source=source_hash(),
         clock_supervision=False,
+        memory_style="block",
     )
 
 
@@ -224,13 +230,11 @@ def illuminator_target(
     """
     pll = find_pll(platform().default_clk_frequency, pulse_hz)
     config = choose_illuminator(ice40_config(pll.hz), options, board=board, leds=leds)
-    return Target(
-        design="illuminator",
+    return target_of(
+        config,
+        lambda: Ice40Illuminator(config, pll, armed=armed),
         board=board,
         platform=platform,
-        top=lambda: Ice40Illuminator(config, pll, armed=armed),
-        clocks_mhz={"pulse": config.pulse_hz / 1e6, "sync": config.sync_hz / 1e6},
         family="ice40",
         options=_NO_ENABLES,
-        settings=illuminator_settings(config),
     )

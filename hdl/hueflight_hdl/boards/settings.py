@@ -8,17 +8,25 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hueflight_protocol.illuminator_map import MAX_CHANNELS, MAX_PULSES, MAX_STEPS
+from hueflight_protocol.wire import MAX_CODE_BITS, MAX_COLS, MAX_ROWS, MAX_RUN
+
 from ..camera.camera import CameraConfig
+from ..camera.formatter.formatter import MIN_BUFFER_WORDS
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import Limits
+from ..link.uart import bit_increment
 from .target import Options, TargetError
 
 _PULSE = ("channels", "pulses", "steps")
+_OTHERS = ("baud", "serial", "reference_hz")
 _LIMITS = ("max_on_ticks", "duty_divisor", "burst_ticks")
 _FORM = ("rows", "cols", "code_bits", "lanes", "run", "geometry", "banks")
 _CAMERA = ("buffer_words", "admit_words", "serial")
+_SENSOR = ("sensor", "overlap")
 MAX_BAUD = 12_000_000
 MAX_SERIAL = (1 << 64) - 1
+MAX_REFERENCE_HZ = 200_000_000
 
 
 @dataclass(frozen=True)
@@ -60,24 +68,37 @@ class Setting:
 
 
 ILLUMINATOR = (
-    Setting("channels", "LED channels", 1, 32),
-    Setting("pulses", "pulses per channel and train", 1, 4),
-    Setting("steps", "steps of a sequencer program", 1, 32),
+    Setting("channels", "LED channels", 1, MAX_CHANNELS),
+    Setting("pulses", "pulses per channel and train", 1, MAX_PULSES),
+    Setting("steps", "steps of a sequencer program", 1, MAX_STEPS),
     Setting("max_on_ticks", "longest on-time of an LED, in ticks", 1, 4095),
     Setting("duty_divisor", "divisor of the largest duty cycle; 1 = no limit", 1, 255),
     Setting("burst_ticks", "on-time allowed beyond the duty limit, in ticks", 1, 4095),
     Setting("baud", "rate of the serial line, in bits per second", 9600, MAX_BAUD),
     Setting("serial", "serial number of the board", 0, MAX_SERIAL),
+    Setting(
+        "reference_hz",
+        "frequency of an external clock, on ECP5 boards with a pin for it; 0 = none",
+        0,
+        MAX_REFERENCE_HZ,
+    ),
 )
 CAMERA = (
-    Setting("rows", "rows of the sensor", 1, 1024),
-    Setting("cols", "columns of the sensor", 1, 1024),
-    Setting("code_bits", "width of a code", 1, 16),
+    Setting("rows", "rows of the sensor", 1, MAX_ROWS),
+    Setting("cols", "columns of the sensor", 1, MAX_COLS),
+    Setting("code_bits", "width of a code", 1, MAX_CODE_BITS),
     Setting("lanes", "codes per clock at the sensor port: 1, 2, 4 or 8", 1, 8),
-    Setting("run", "pixels per chunk, a multiple of 8", 8, 4096),
+    Setting("run", "pixels per chunk, a multiple of 8", 8, MAX_RUN),
     Setting("geometry", "identity of the geometry in frame headers; 0 = not stated", 0, 0xFFFF),
     Setting("banks", "chunks held between sensor and link: 2, 4, 8 or 16", 2, 16),
-    Setting("buffer_words", "words between formatter and link, a power of two", 16, 1 << 16),
+    Setting(
+        "buffer_words",
+        "words between formatter and link, a power of two",
+        MIN_BUFFER_WORDS,
+        1 << 16,
+    ),
+    Setting("sensor", "1 = a sensor with serial lanes on pins, 0 = the synthetic one alone", 0, 1),
+    Setting("overlap", "1 = the sensor on pins keeps its codes while it exposes", 0, 1),
     Setting("admit_words", "room in the buffer that a frame needs to be admitted", 3, 1 << 16),
     Setting("serial", "serial number of the board", 0, MAX_SERIAL),
 )
@@ -149,18 +170,28 @@ def set_illuminator(config: IlluminatorConfig, values: Mapping[str, int], /) -> 
     ------
     ConfigError
         If they contradict one another.
+    UartError
+        If the clock does not allow the rate of the serial line.
     """
     pulse = config.pulse
     limits = {name: values[name] for name in _LIMITS if name in values}
     sizes = {name: values[name] for name in _PULSE if name in values}
     if limits:
         pulse = replace(pulse, limits=replace(_common_limits(config), **limits))
-    rest = {name: values[name] for name in ("baud", "serial") if name in values}
-    return replace(config, pulse=replace(pulse, **sizes), **rest)
+    rest = {name: values[name] for name in _OTHERS if name in values}
+    config = replace(config, pulse=replace(pulse, **sizes), **rest)
+    bit_increment(config.sync_hz, config.baud)  # refuses a rate before anything is elaborated
+    return config
 
 
 def choose_illuminator(
-    config: IlluminatorConfig, options: Options, /, *, board: str, leds: int
+    config: IlluminatorConfig,
+    options: Options,
+    /,
+    *,
+    board: str,
+    leds: int,
+    external_clock: bool = False,
 ) -> IlluminatorConfig:
     """Return the configuration of a board with the settings that the user chose.
 
@@ -174,6 +205,8 @@ def choose_illuminator(
         Name of the board, for messages.
     leds : int
         Pins that the board has for LEDs.
+    external_clock : bool
+        The board can run from an external clock.
 
     Returns
     -------
@@ -183,9 +216,14 @@ def choose_illuminator(
     Raises
     ------
     TargetError
-        If there are more channels than pins.
+        If there are more channels than pins, or there is no external clock.
     """
     values = dict(options.settings)
+    if values.get("reference_hz") and not external_clock:
+        raise TargetError(
+            f"reference_hz = {values['reference_hz']}: {board} cannot run from an external clock; "
+            "ECP5 boards with a pin named reference, and an edge for its clock, can"
+        )
     if "channels" not in values and leds < config.pulse.channels:
         values["channels"] = leds
     if values.get("channels", 0) > leds:
@@ -203,6 +241,7 @@ def illuminator_settings(config: IlluminatorConfig, /) -> dict[str, int]:
         **{name: getattr(limits, name) for name in _LIMITS},
         "baud": round(config.baud),
         "serial": config.serial,
+        "reference_hz": config.reference_hz,
     }
 
 
@@ -218,14 +257,15 @@ def set_camera(config: CameraConfig, values: Mapping[str, int], /) -> CameraConf
     """
     form = replace(config.form, **{name: values[name] for name in _FORM if name in values})
     rest = {name: values[name] for name in _CAMERA if name in values}
-    return replace(config, form=form, **rest)
+    sensor = {name: bool(values[name]) for name in _SENSOR if name in values}
+    return replace(config, form=form, **rest, **sensor)
 
 
 def camera_settings(config: CameraConfig, /) -> dict[str, int]:
     """Return the settings of a configuration."""
     return {
         **{name: getattr(config.form, name) for name in _FORM},
-        **{name: getattr(config, name) for name in _CAMERA},
+        **{name: int(getattr(config, name)) for name in (*_CAMERA, *_SENSOR)},
     }
 
 

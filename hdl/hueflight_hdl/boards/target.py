@@ -12,6 +12,7 @@ from amaranth.build import Platform
 from amaranth.hdl import Elaboratable
 
 from hueflight_protocol.errors import HueflightError
+from hueflight_protocol.registers import RegisterMap
 
 
 class TargetError(HueflightError):
@@ -62,6 +63,10 @@ class Target:
         Verilog declarations of modules that come with the vendor's software.
     settings : mapping of str to int
         Sizes and limits of this build, see `boards.settings`.
+    registers : RegisterMap, optional
+        Registers of this build.
+    loader : tuple of str
+        Arguments of openFPGALoader that name the board or its cable.
     """
 
     design: str
@@ -74,3 +79,5 @@ class Target:
     lanes: int | None = None
     blackboxes: str = ""
     settings: Mapping[str, int] = field(default_factory=dict)
+    registers: RegisterMap | None = None
+    loader: tuple[str, ...] = ()

@@ -24,9 +24,16 @@ _MAKERS = {
     ("camera", "xem6310"): "xem6310:camera",
 }
 """Module and function of each target; boards with devices of several sizes have the size too."""
+_LOADERS = {
+    "ulx3s": ("-b", "ulx3s"),
+    "ecpix5": ("-c", "ft2232"),
+    "hx8k": ("-b", "ice40_generic", "-c", "ft2232"),
+}
+"""Arguments of openFPGALoader for boards, by the module of `_MAKERS`."""
 ENTRY_POINTS = "hueflight.boards"
 """Entry points of other distributions: functions of design and `Options` that return a `Target`."""
-_WITH_PINS = ("xem3010", "xem6310")
+_FIXED = {board for _, board in _MAKERS} - {"xem3010", "xem6310"}
+"""Boards whose pins are known; a Python file or another distribution may want a file of pins."""
 
 
 def boards_of(design: str) -> list[str]:
@@ -65,6 +72,12 @@ def find_target(design: str, board: str, options: Options | None = None, /) -> T
     if design not in designs():
         raise TargetError(f"there is no design {design!r}: choose one of {', '.join(designs())}")
     options = replace(options, settings=check_settings(design, options.settings))
+    if options.lanes is not None and design != "camera":
+        raise TargetError(
+            f"--lanes {options.lanes}: only the camera has a sensor port with lanes; leave it out"
+        )
+    if options.pins is not None and (board.endswith(".toml") or board in _FIXED):
+        raise TargetError(f"--pins {options.pins}: the pins of {board} are fixed; leave it out")
     if board.endswith((".toml", ".py")):
         return target_from_file(design, Path(board), options)
     maker = _MAKERS.get((design, board))
@@ -78,11 +91,6 @@ def find_target(design: str, board: str, options: Options | None = None, /) -> T
             f"{', '.join(boards_of(design))}{others}, or give the path of a board file "
             "(.toml or .py)"
         )
-    if options.lanes is not None and design != "camera":
-        raise TargetError(
-            f"--lanes {options.lanes}: only the camera has a sensor port with lanes; leave it out"
-        )
-    if options.pins is not None and board not in _WITH_PINS:
-        raise TargetError(f"--pins {options.pins}: the pins of {board} are fixed; leave it out")
     module, function, *size = maker.split(":")
-    return getattr(import_module(f".{module}", __package__), function)(options, *size)
+    made = getattr(import_module(f".{module}", __package__), function)(options, *size)
+    return replace(made, loader=_LOADERS.get(module, ()))

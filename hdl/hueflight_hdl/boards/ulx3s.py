@@ -40,6 +40,9 @@ _ILLUMINATOR = [
     Resource("frame_sync", 0, Pins("0+", dir="i", conn=("gpio", 0)), _PLAIN),
     Resource("marker", 0, Pins("1+ 1- 2+ 2- 3+ 3- 4+ 4-", dir="o", conn=("gpio", 0)), _PLAIN),
     Resource("missed", 0, Pins("5+", dir="o", conn=("gpio", 0)), _PLAIN),
+    # a pin for clocks, and its neighbor
+    Resource("reference", 0, Pins("12+", dir="i", conn=("gpio", 0)), _PLAIN),
+    Resource("clock_out", 0, Pins("11+", dir="o", conn=("gpio", 0)), _FAST),
 ]
 _CAMERA = [
     Resource(
@@ -89,7 +92,12 @@ def _platform(size: str, resources: list[Resource]) -> Platform:
 def illuminator(options: Options, size: str) -> Target:
     """Return the illuminator on this board, with an FPGA of a size."""
     return illuminator_target(
-        f"ulx3s-{size}", lambda: _platform(size, _ILLUMINATOR), options, armed=("led", 0), leds=9
+        f"ulx3s-{size}",
+        lambda: _platform(size, _ILLUMINATOR),
+        options,
+        armed="led",
+        leds=9,
+        edge="right",
     )
 
 

@@ -17,8 +17,9 @@ from ..common.version import source_hash
 from ..illuminator.gearing.xc7 import Xc7Gearing
 from ..illuminator.illuminator import IlluminatorConfig
 from .illuminator_pins import add_from_platform
+from .illuminator_target import target_of
 from .pins import drive_pin
-from .settings import choose_illuminator, illuminator_settings
+from .settings import choose_illuminator
 from .target import Options, Target, TargetError
 
 PULSE_HZ = 200e6
@@ -141,10 +142,13 @@ class Xc7Illuminator(Elaboratable):
     ----------
     config : IlluminatorConfig
         What is built.
+    armed : str
+        Resource of the indicator LED that is lit while the board is armed.
     """
 
-    def __init__(self, config: IlluminatorConfig, /) -> None:
+    def __init__(self, config: IlluminatorConfig, /, *, armed: str) -> None:
         self.config = config
+        self.armed = armed
 
     def elaborate(self, platform: Platform) -> Module:
         m = Module()
@@ -154,7 +158,7 @@ class Xc7Illuminator(Elaboratable):
         clocks.add_to(m, platform)
         gearing = Xc7Gearing(clocks.io_reset)
         illuminator = add_from_platform(m, self.config, gearing, platform, clocks.failed)
-        drive_pin(m, platform, "armed", illuminator.armed)
+        drive_pin(m, platform, self.armed, illuminator.armed)
         return m
 
 
@@ -164,6 +168,7 @@ def illuminator_target(
     options: Options,
     /,
     *,
+    armed: str,
     leds: int,
     pulse_hz: float,
 ) -> Target:
@@ -177,6 +182,8 @@ def illuminator_target(
         Returns the platform with all pins.
     options : Options
         Choices of the user.
+    armed : str
+        Resource of the indicator LED.
     leds : int
         Pins that the board has for LEDs.
     pulse_hz : float
@@ -195,13 +202,11 @@ def illuminator_target(
         memory_style="distributed",
     )
     config = choose_illuminator(base, options, board=board, leds=leds)
-    return Target(
-        design="illuminator",
+    return target_of(
+        config,
+        lambda: Xc7Illuminator(config, armed=armed),
         board=board,
         platform=platform,
-        top=lambda: Xc7Illuminator(config),
-        clocks_mhz={"pulse": config.pulse_hz / 1e6, "sync": config.sync_hz / 1e6},
         family="xc7",
         options={"script_before_bitstream": MUST_MEET_TIMING},
-        settings=illuminator_settings(config),
     )

@@ -19,9 +19,10 @@ from ..illuminator.gearing.portable import DoubleDataRateGearing
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import Limits, PulseConfig
 from .illuminator_pins import GearedPorts, add_illuminator
+from .illuminator_target import target_of
 from .pin_file import PinFile, read_pins
 from .pins import drive_pin, read_pin
-from .settings import choose_illuminator, illuminator_settings
+from .settings import choose_illuminator
 from .target import Options, Target
 
 WIRED = {
@@ -136,12 +137,10 @@ def illuminator(options: Options) -> Target:
     pins = read_pins(options.pins, "xem3010", WIRED)
     clock_hz = pins.clock_hz or 0.0
     config = choose_illuminator(xem3010_config(clock_hz), options, board="xem3010", leds=9)
-    return Target(
-        design="illuminator",
+    return target_of(
+        config,
+        lambda: _Top(config, clock_hz),
         board="xem3010",
         platform=lambda: _platform(pins),
-        top=lambda: _Top(config, clock_hz),
-        settings=illuminator_settings(config),
-        clocks_mhz={"pulse": clock_hz / 1e6, "sync": clock_hz / 2e6},
         family="xc3s",
     )

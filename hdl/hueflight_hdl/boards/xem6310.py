@@ -18,6 +18,14 @@ from ..camera.camera import CameraConfig
 from ..link.opal_kelly import BLACKBOXES, OpalKellyLink, OpalKellyPins
 from .ecp5_camera import SYNC_HZ, add_camera, camera_config
 from .pin_file import PinFile, read_pins
+from .sensor_lanes import (
+    HOLD_NS,
+    SENSOR_HZ,
+    SETUP_NS,
+    PortableLaneInputs,
+    add_sensor,
+    check_lanes,
+)
 from .settings import camera_settings
 from .target import Options, Target
 
@@ -30,6 +38,20 @@ _UHU = (
 )
 WIRED = {"trigger": 1, "frame_sync": 1, "missed": 1, "marker": 8}
 """Pins that the builder names, and how many each."""
+SENSOR_LANES = 8
+IO_TIMING = "\n".join(
+    f'OFFSET = IN {SETUP_NS} ns VALID {SETUP_NS + HOLD_NS:g} ns BEFORE "sensor_clock_0__io" {edge};'
+    for edge in ("RISING", "FALLING")
+)
+"""Constraints of the sensor's pins: bits are valid around both edges of its clock."""
+
+
+def wired(config: CameraConfig, /) -> dict[str, int]:
+    """Return the pins that the builder names for a camera, and how many each."""
+    if not config.sensor:
+        return WIRED
+    single = dict.fromkeys(("sensor_clock", "sensor_control", "sensor_expose", "sensor_read"), 1)
+    return {**WIRED, "sensor_data": config.form.lanes, **single}
 
 
 class Xem6310Platform(XilinxPlatform):
@@ -59,7 +81,7 @@ class Xem6310Platform(XilinxPlatform):
 
 
 class OpalKellyCamera(Elaboratable):
-    """The camera with a synthetic sensor, behind Opal Kelly's host interface."""
+    """The camera behind Opal Kelly's host interface, with a sensor on pins or the synthetic one."""
 
     def __init__(self, config: CameraConfig) -> None:
         self.config = config
@@ -77,6 +99,8 @@ class OpalKellyCamera(Elaboratable):
         )
         m.submodules.link = link = OpalKellyLink(pins)
         camera = add_camera(m, self.config, platform)
+        if self.config.sensor:
+            add_sensor(m, camera, platform, PortableLaneInputs())
         connect(m, camera.packets, link.packets)
         connect(m, link.requests, camera.requests)
         connect(m, camera.responses, link.responses)
@@ -85,23 +109,29 @@ class OpalKellyCamera(Elaboratable):
 
 def _platform(pins: PinFile) -> Platform:
     platform = Xem6310Platform()
-    outputs = ("trigger", "frame_sync")
-    platform.add_resources(pins.resource(name, "o" if name in outputs else "i") for name in WIRED)
+    outputs = ("trigger", "frame_sync", "sensor_expose", "sensor_read")
+    platform.add_resources(
+        pins.resource(name, "o" if name in outputs else "i") for name in pins.pins
+    )
     return platform
 
 
 def camera(options: Options) -> Target:
     """Return the camera on this board."""
-    pins = read_pins(options.pins, "xem6310", WIRED)
     config = camera_config(options)
+    check_lanes("xem6310", config, SENSOR_LANES)
+    pins = read_pins(options.pins, "xem6310", wired(config))
+    sensor_mhz = {"sensor": SENSOR_HZ / 1e6} if config.sensor else {}
     return Target(
         design="camera",
         board="xem6310",
         platform=lambda: _platform(pins),
         top=lambda: OpalKellyCamera(config),
-        clocks_mhz={"sync": SYNC_HZ / 1e6, "ok": OK_HZ / 1e6},
+        clocks_mhz={"sync": SYNC_HZ / 1e6, "ok": OK_HZ / 1e6, **sensor_mhz},
         lanes=config.form.lanes,
         settings=camera_settings(config),
+        registers=config.registers(),
         family="xc6s",
+        options={"add_constraints": IO_TIMING} if config.sensor else {},
         blackboxes=BLACKBOXES,
     )

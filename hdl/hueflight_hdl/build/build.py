@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..boards.settings import write_design_file
 from ..boards.target import Target
-from ..toolchain import TOOLS, ToolError, require_tool, run_tool
+from ..toolchain import TOOLS, ToolError, offer_yosys, require_tool, run_tool
 from .clock_constraints import rename_clocks
 from .report import (
     REQUIRED_MARGIN,
@@ -20,6 +20,7 @@ from .report import (
     digest,
     read_cells,
     read_clocks,
+    read_paths,
 )
 
 NAME = "top"
@@ -35,6 +36,8 @@ _NO_ROOM = re.compile(
     r"no BELs remaining|Failed to expand region|[Uu]nable to (place|find)|ran out of|not enough"
 )
 """What routers say of a design that is too large for its device."""
+_EDGES = "Unable to route edge clock source"
+"""What the router says of geared pins on both edges of the device, which have their own clocks."""
 _SIZES = {
     "illuminator": ("channels", "pulses", "steps"),
     "camera": ("lanes", "code_bits", "run", "banks", "buffer_words"),
@@ -134,6 +137,7 @@ def build(
         seed=best,
         tried={seed: round(smallest_margin(clocks), 4) for seed, clocks in tried.items()},
         required=margin,
+        paths=read_paths(folder / "nextpnr.json", target.clocks_mhz),
     )
     (folder / "report.json").write_text(report.to_json())
     return report
@@ -155,11 +159,13 @@ def prepare(target: Target, folder: Path, /) -> list[list[str]]:
         Tools to run, in order, with their arguments; empty for boards that need vendor tools.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    offer_yosys()  # some families take Verilog
+    route = ["--report nextpnr.json --timing-allow-fail", target.options.get("nextpnr_opts", "")]
     options = {
-        "nextpnr_opts": "--report nextpnr.json --timing-allow-fail"
-        + (_ECP5_ROUTE if target.family == "ecp5" else ""),
         **({"ecppack_opts": "--compress"} if target.family == "ecp5" else {}),
         **target.options,
+        "nextpnr_opts": " ".join(filter(None, route))
+        + (_ECP5_ROUTE if target.family == "ecp5" else ""),
     }
     options["script_after_synth"] = "; ".join(
         filter(None, (options.get("script_after_synth"), _ONLY_TOP))
@@ -172,10 +178,15 @@ def prepare(target: Target, folder: Path, /) -> list[list[str]]:
 
 
 def _route(target: Target, command: list[str], folder: Path) -> None:
-    """Place and route; say what to do if the device is too small."""
+    """Place and route; say what to do if the device is too small or its edges are mixed."""
     try:
         run_tool(*command, cwd=folder)
     except ToolError as error:
+        if _EDGES in str(error):
+            raise BuildError(
+                f"{target.board}: led_pulse, trigger and trigger_out must all be on the left edge "
+                f"of the device, or all on the right one: each edge has its own clock\n{error}"
+            ) from error
         if not _NO_ROOM.search(str(error)):
             raise
         chosen = ", ".join(f"{name} = {target.settings[name]}" for name in _SIZES[target.design])

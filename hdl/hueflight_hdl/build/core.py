@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from ..illuminator.pulse_generator.reference import (
     render,
 )
 from ..testbench.ticks import ticks_to_words
-from ..toolchain import tool_environment
+from ..toolchain import offer_yosys
 
 NAME = "hueflight_illuminator"
 _MEANINGS = {
@@ -122,7 +121,7 @@ endmodule
 
 
 def write_core(config: IlluminatorConfig, folder: Path, /) -> list[Path]:
-    """Write the illuminator as one Verilog file without vendor's primitives, and its testbench.
+    """Write the illuminator as one Verilog file without vendors' primitives, and its testbench.
 
     Parameters
     ----------
@@ -141,7 +140,7 @@ def write_core(config: IlluminatorConfig, folder: Path, /) -> list[Path]:
     ToolError
         If yosys, which converts RTLIL to Verilog, is not installed.
     """
-    os.environ.setdefault("YOSYS", tool_environment().get("YOSYS", "yosys"))
+    offer_yosys()
     folder.mkdir(parents=True, exist_ok=True)
     top, ports = _top(config)
     text = verilog.convert(
@@ -181,13 +180,13 @@ def _top(config: IlluminatorConfig) -> tuple[Module, dict[str, tuple[Signal, boo
 
 
 def _pulses(config: IlluminatorConfig) -> list[Pulse]:
-    """Return a pulse for each channel: as long as a clock and a tick, as in the paper's train."""
+    """Return a pulse for each channel, one after another: a clock and a tick long if allowed."""
     width = min(config.pulse.lanes + 1, config.pulse.limit(0).max_on_ticks)
     return [Pulse(3 * width * channel, width) for channel in range(config.pulse.channels)]
 
 
 def _requests(config: IlluminatorConfig) -> bytes:
-    """Return what the testbench sends: schedule, trigger source, arming."""
+    """Return what the testbench sends: schedule, then arming."""
     registers = config.registers()
     writes = [
         (registers["pulse"].address_of(0, channel, 0), pulse.delay | pulse.width << 16)

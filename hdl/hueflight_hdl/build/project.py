@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 from ..boards.target import Target
-from ..toolchain import run_tool, tool_environment
+from ..toolchain import run_tool
 from .build import NAME, prepare
 from .open_project import complete_project
 from .report import BuildError
@@ -58,8 +57,6 @@ def write_project(target: Target, folder: Path, /, *, constraints: bool = True) 
     ToolError
         If yosys, which converts RTLIL to Verilog, is not installed or fails.
     """
-    # Amaranth calls yosys by itself where a vendor's tools want Verilog
-    os.environ.setdefault("YOSYS", tool_environment().get("YOSYS", "yosys"))
     commands = prepare(target, folder)
     verilog = folder / f"{NAME}.v"
     if (folder / f"{NAME}.il").exists():

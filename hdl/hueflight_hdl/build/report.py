@@ -6,11 +6,14 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from hueflight_protocol.errors import HueflightError
+
+from .critical_path import CriticalPath, find_paths
 
 REQUIRED_MARGIN = 0.10
 """Default timing margin: the fraction by which each clock must exceed its frequency."""
@@ -70,6 +73,8 @@ class BuildReport:
         Smallest timing margin for each seed that was tried.
     required : float
         Required timing margin.
+    paths : dict of str to CriticalPath
+        Slowest path of each clock domain.
     """
 
     design: str
@@ -82,6 +87,7 @@ class BuildReport:
     seed: int
     tried: dict[int, float]
     required: float
+    paths: dict[str, CriticalPath] = field(default_factory=dict)
 
     @property
     def margin(self) -> float:
@@ -139,26 +145,40 @@ def read_cells(path: Path, family: str, /) -> dict[str, tuple[int, int]]:
     }
 
 
+def read_paths(path: Path, domains: Iterable[str], /) -> dict[str, CriticalPath]:
+    """Read the slowest path of each clock domain from nextpnr's report."""
+    patterns = {domain: _clock_pattern(domain) for domain in domains}
+    return find_paths(_load(path).get("critical_paths", []), patterns)
+
+
 def digest(path: Path, /) -> str:
     """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _load(path: Path) -> dict[str, dict]:
+def _load(path: Path) -> dict[str, Any]:
     try:
         return json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise BuildError(f"{path}: cannot be read as a report of nextpnr ({error})") from error
 
 
+def _clock_name(domain: str) -> str:
+    """Return the name that Amaranth gives to a domain's clock: that of `sync` is just ``clk``."""
+    return "clk" if domain == "sync" else f"{domain}_clk"
+
+
+def _clock_pattern(domain: str) -> str:
+    """Return the pattern of net names that a domain's clock has after placement."""
+    return rf"(^|[.$]){_clock_name(domain)}(_\$glb_clk|\$\d+|\$glb\w*)?$"
+
+
 def _reached(fmax: Mapping[str, Mapping[str, float]], domain: str) -> float:
-    """Find a domain's clock among the nets: Amaranth calls that of `sync` just ``clk``."""
-    name = "clk" if domain == "sync" else f"{domain}_clk"
-    found = [
-        result["achieved"]
-        for net, result in fmax.items()
-        if re.search(rf"(^|[.$]){name}(_\$glb_clk|\$\d+|\$glb\w*)?$", net)
-    ]
+    """Find a domain's clock among the nets; the slowest counts."""
+    pattern = _clock_pattern(domain)
+    found = [result["achieved"] for net, result in fmax.items() if re.search(pattern, net)]
     if not found:
-        raise BuildError(f"no clock {name!r} in nextpnr's report, which has {', '.join(fmax)}")
+        raise BuildError(
+            f"no clock {_clock_name(domain)!r} in nextpnr's report, which has {', '.join(fmax)}"
+        )
     return min(found)

@@ -98,7 +98,8 @@ def page(reports: Iterable[dict[str, Any]], counts: Iterable[dict[str, Any]], /)
 def _name(content: dict[str, Any]) -> str:
     count = content.get("lanes")
     lanes = f", {count} lane{'s' if count > 1 else ''}" if count else ""
-    return f"{content['design']}, {content['board']}{lanes}"
+    sensor = ", sensor on pins" if "sensor" in content.get("clocks", {}) else ""
+    return f"{content['design']}, {content['board']}{lanes}{sensor}"
 
 
 def _order(content: dict[str, Any]) -> tuple[str, str, int]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
@@ -53,6 +54,8 @@ def main(words: Sequence[str] | None = None) -> None:
     try:
         app(sys.argv[1:] if words is None else words)
     except HueflightError as error:
+        # Amaranth warns of each part that an interrupted elaboration has not used
+        warnings.filterwarnings("ignore", message=".* created but never used")
         errors.print("error:", str(error))
         raise SystemExit(EXIT_FAILED) from None
     except KeyboardInterrupt:

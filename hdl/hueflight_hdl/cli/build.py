@@ -12,6 +12,7 @@ from rich.table import Table
 
 from ..boards.targets import find_target
 from ..build.build import build as build_target
+from ..build.program import load, loading_command
 from ..build.report import REQUIRED_MARGIN, BuildError, BuildReport
 from .app import EXIT_SHORT, Progress, app, errors
 from .options import read_options
@@ -30,6 +31,7 @@ def build(
     lanes: int | None = None,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=())] = None,
     design_file: Path | None = None,
+    program: bool = False,
     json: bool = False,
 ) -> None:
     """Build a bitstream with the open tools and report its timing margins and cell counts.
@@ -59,6 +61,9 @@ def build(
         makes the error list all names.
     design_file
         TOML file of sizes and limits; --set has precedence. Each build writes one, design.toml.
+    program
+        Load the bitstream into the board's FPGA, until power-off, if every clock has its margin.
+        Disconnect LED drivers first.
     json
         Print the report as JSON instead of a table.
     """
@@ -72,6 +77,8 @@ def build(
     target = find_target(
         design, board, read_options(lanes=lanes, words=set_, design_file=design_file)
     )
+    if program:
+        loading_command(target, "top.bit")  # whether it can be loaded, before minutes of building
     report = build_target(
         target,
         folder or Path("build") / f"{design}-{target.board}",
@@ -90,6 +97,9 @@ def build(
             "--seed and --seeds, or accept less with --accept-margin"
         )
         raise SystemExit(EXIT_SHORT)
+    if program:
+        Progress()(f"loading {report.bitstream.name} into {target.board}")
+        errors.print(load(target, report.bitstream))
     if report.required < REQUIRED_MARGIN:
         errors.print(
             f"note: a timing margin of {report.required:.1%} was accepted instead of the usual "
@@ -109,6 +119,8 @@ def show(report: BuildReport) -> None:
         table.add_row(f"clock {name}", reached, needed, f"{clock.margin:+.1%}")
     console = Console(highlight=False)
     console.print(table)
+    for name, path in report.paths.items():
+        console.print(f"slowest path of {name}: {path.describe()}", soft_wrap=True)
     tried = ", ".join(f"{seed}: {margin:+.1%}" for seed, margin in report.tried.items())
     console.print(f"seed {report.seed} (tried {tried})")
     console.print(f"{report.bitstream} sha256 {report.sha256}", soft_wrap=True)

@@ -21,8 +21,8 @@ def simulate(
     """Simulate a design and write what it sends.
 
     For the illuminator: one pulse train of the paper's schedule, as a VCD file for a waveform
-    viewer and as an SVG drawing. For the camera: the packets of a capture with the synthetic
-    sensor.
+    viewer with a save file for GTKWave, and as an SVG drawing. For the camera: the packets of a
+    capture with the synthetic sensor.
 
     Parameters
     ----------
@@ -51,7 +51,12 @@ def simulate(
 
 
 def _illuminator(folder: Path) -> None:
-    from ..testbench.illuminator_waveform import draw, record_train, write_vcd
+    from ..testbench.illuminator_waveform import (
+        draw,
+        record_train,
+        write_save_file,
+        write_vcd,
+    )
 
     progress = Progress()
     progress("compiling and running the illuminator")
@@ -59,6 +64,8 @@ def _illuminator(folder: Path) -> None:
     for name, write in (("train.vcd", write_vcd), ("train.svg", draw)):
         write(waveform, folder / name)
         print(folder / name)
+    write_save_file(waveform, folder / "train.vcd", folder / "train.gtkw")
+    print(folder / "train.gtkw")
 
 
 def _camera(folder: Path, frames: int, occupancy: float) -> None:

@@ -63,8 +63,14 @@ def verilog(
         options = read_options(words=set_, design_file=design_file)
         if not core or board is not None or design != "illuminator":
             raise TargetError("give either --board, or --core for the illuminator")
+        if pins is not None or lanes is not None or count:
+            raise TargetError("--core: --pins, --lanes and --count need a board; leave them out")
         progress(f"writing {design} without a board")
         config = set_illuminator(ecp5_config(), check_settings(design, options.settings))
+        if config.reference_hz:
+            raise TargetError(
+                f"reference_hz = {config.reference_hz}: in plain Verilog the clocks are yours"
+            )
         for path in write_core(config, folder or Path("build") / f"{design}-core"):
             print(path)
         return

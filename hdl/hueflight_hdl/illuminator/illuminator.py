@@ -21,6 +21,7 @@ from ..control.register_file import RegisterFile
 from ..control.standard_block import add_control
 from ..link.serial import SerialLink
 from .arming import Arming
+from .clock_choice import REFERENCE_STATE, connect_clock_choice
 from .pulse_generator.config import ConfigError, PulseConfig
 from .pulse_generator.generator import COUNTERS, LIVE_LAYOUT, STROBE_LAYOUT, PulseGenerator
 from .pulse_generator.schedule_store import ScheduleStore
@@ -52,8 +53,10 @@ class IlluminatorConfig:
         Failures of the clock are detected by the board, see `IlluminatorCore`; otherwise
         ``clock_failed`` is ignored.
     memory_style : str, optional
-        ``ram_style`` of the sequencer's memory, for families whose block memory is too slow for
-        the domain `pulse`.
+        ``ram_style`` of the sequencer's memory, where synthesis would choose another kind than the
+        family needs.
+    reference_hz : int
+        Frequency of the external clock that the board can run from; 0 if it cannot.
     """
 
     pulse: PulseConfig = field(default_factory=PulseConfig)
@@ -64,6 +67,7 @@ class IlluminatorConfig:
     source: int = 0
     clock_supervision: bool = True
     memory_style: str | None = None
+    reference_hz: int = 0
 
     def __post_init__(self) -> None:
         if self.clock_ratio < 1:
@@ -88,12 +92,15 @@ class IlluminatorConfig:
             lanes=self.pulse.lanes,
             tick_fs=self.tick_fs,
             clock_hz=round(self.pulse_hz),
+            external_clock=bool(self.reference_hz),
+            reference_hz=self.reference_hz,
         )
 
 
 def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
     """Return the signature members for triggers and LEDs."""
     lanes = config.pulse.lanes
+    reference = {"reference_wanted": Out(1), "reference_state": In(REFERENCE_STATE)}
     return {
         "trigger": In(lanes),
         "frame_sync": In(1),
@@ -103,6 +110,7 @@ def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
         "missed": Out(1),
         "armed": Out(1),
         "clock_failed": In(1),
+        **(reference if config.reference_hz else {}),
     }
 
 
@@ -129,6 +137,9 @@ class IlluminatorCore(wiring.Component):
         The clocks are not valid, or have not been for long. It may rise at any time and falls
         with a clock of `sync`; after configuration it may begin high. While it is high the board
         is disarmed; when it falls again later, a failure is counted.
+    reference_wanted : Out(1), reference_state : In
+        Choice of the clock, where there is one: what the host wants, and what
+        `boards.reference_clock` made of it, asynchronous.
     """
 
     def __init__(self, config: IlluminatorConfig) -> None:
@@ -161,6 +172,9 @@ class IlluminatorCore(wiring.Component):
         self._settings(m, registers, generator, engine.begin)
         self._schedules(m, registers, generator, safety)
         self._status(m, registers, generator, safety, engine.latched)
+        if self.config.reference_hz:
+            choice = connect_clock_choice(m, registers, self.reference_state)
+            m.d.comb += self.reference_wanted.eq(choice)
         m.d.comb += [
             generator.samples.eq(self.trigger),
             generator.frame_sync.eq(self.frame_sync),
@@ -188,7 +202,8 @@ class IlluminatorCore(wiring.Component):
             "versions": registers["versions"].encode(major=major, minor=minor, patch=patch),
             "serial": self.config.serial,
             "features": registers["features"].encode(
-                clock_supervision=self.config.clock_supervision
+                clock_supervision=self.config.clock_supervision,
+                **({"external_clock": 1} if self.config.reference_hz else {}),
             ),
             "source": self.config.source,
         }

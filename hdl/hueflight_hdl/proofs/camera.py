@@ -13,6 +13,7 @@ from .camera_formatter import (
     TrailerHarness,
     WalkHarness,
 )
+from .camera_reduction import BanksHarness, SumHarness
 from .proof import Proof
 
 PROOFS = (
@@ -82,5 +83,18 @@ PROOFS = (
         depth=40,
         induction=False,
     ),
+    Proof(
+        "camera-sums",
+        "A sum is exact or stands at its greatest value, and never decreases.",
+        SumHarness,
+        depth=2,
+    ),
+    Proof(
+        "camera-sum-banks",
+        "No sum of a picture that can be read is written until the picture is given back, with any "
+        "beats, settings and reader.",
+        BanksHarness,
+        depth=30,
+        induction=False,
+    ),
 )
-"""In the order of the time that they take."""

@@ -15,6 +15,7 @@ from .illuminator_limits import DutyHarness, OnTimeHarness
 from .illuminator_requests import LONGEST, AnswerHarness
 from .illuminator_safety import DarkHarness, WatchdogHarness
 from .proof import Proof
+from .reference_clock import INTERVAL, ReferenceHarness
 
 LANES = (1, 2, 4)
 
@@ -75,6 +76,15 @@ PROOFS = (
         OtherBankHarness,
         depth=20,
         induction=False,
+    ),
+    Proof(
+        "illuminator-reference",
+        "The source of the clock changes only while the PLL is in reset, which lasts for the "
+        f"settling time before and after; an external clock that stops for {INTERVAL + 4:g} "
+        "clocks, is not wanted, or to which the PLL does not lock, is not in use. For any "
+        "external clock.",
+        ReferenceHarness,
+        depth=24,
     ),
     Proof(
         "illuminator-answers",

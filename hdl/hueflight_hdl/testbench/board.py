@@ -25,19 +25,33 @@ from hueflight_protocol.errors import HueflightError
 from ..toolchain import cache_directory, run_tool
 from .serial_line import LineReader
 
-MODELS = Path(__file__).parent / "ecp5"
+MODELS = Path(__file__).parent / "models"
+FAMILIES = ("ecp5", "ice40", "xc7")
 BAUD = 3e6
 _SAMPLES_PER_BIT = 16
 _OPTIONS = ("--cc", "--exe", "--build", "--timing", "-Wno-fatal", "-Wno-lint", "-Wno-style")
 _WRAPPER = """\
-module board (input osc, rx, trigger, output [{last}:0] led, output tx);
-    top top (
-        .{clock}(osc),
-        .uart_0__rx__io(rx),
-        .uart_0__tx__io(tx),
-        .trigger_0__io(trigger),
-        .led_pulse_0__io(led),
-        .frame_sync_0__io(1'b0)
+module board (
+    input osc, rx, trigger, external_clock, output [{last}:0] led, output tx, clock_out
+);
+    // pins of some families are bidirectional, which takes nets
+    wire osc_pin, rx_pin, trigger_pin, sync_pin, tx_pin, reference_pin, clock_out_pin;
+    wire [{last}:0] led_pins;
+    assign osc_pin = osc;
+    assign rx_pin = rx;
+    assign trigger_pin = trigger;
+    assign sync_pin = 1'b0;
+    assign led = led_pins;
+    assign tx = tx_pin;
+    assign reference_pin = external_clock;
+    assign clock_out = clock_out_pin;
+    top top ({more}
+        .{clock}(osc_pin),
+        .uart_0__rx__io(rx_pin),
+        .uart_0__tx__io(tx_pin),
+        .trigger_0__io(trigger_pin),
+        .led_pulse_0__io(led_pins),
+        .frame_sync_0__io(sync_pin)
     );
 endmodule
 """
@@ -74,7 +88,11 @@ class BoardScript:
         self.now_ps += 10 * len(frame) * bit
 
     def set(self, name: str, value: int, /) -> None:
-        """Set an input: ``trigger`` and ``osc`` to a level, ``pll`` to a mode of its model."""
+        """Set an input: ``trigger`` and ``osc`` to a level, ``pll`` to a mode of its model.
+
+        ``reference`` takes the half period of the external clock in picoseconds, 0 to stop it;
+        ``period`` 0 notes that of the clock output.
+        """
         self.lines.append(f"{name} {value}")
 
 
@@ -90,11 +108,14 @@ class BoardRun:
         Changes of the serial output.
     end_ps : int
         Time at the end.
+    periods : list of (int, int)
+        Time, and last period of the clock output in picoseconds, at each ``period``.
     """
 
     led: list[tuple[int, int]]
     tx: list[tuple[int, int]]
     end_ps: int
+    periods: list[tuple[int, int]] = field(default_factory=list)
 
     def pulses(self, channel: int, start_ps: int, stop_ps: int, /) -> list[tuple[int, int]]:
         """Return when a channel's LED goes on within a window, and for how long, in ps."""
@@ -123,15 +144,17 @@ class BoardRun:
         return [decode_response(cobs_decode(part)) for part in data.split(b"\0") if part]
 
 
-def compile_board(verilog: Path, /, *, oscillator_hz: float) -> Path:
+def compile_board(verilog: Path, /, *, oscillator_hz: float, family: str = "ecp5") -> Path:
     """Compile a generated top with the models of primitives; the result is cached.
 
     Parameters
     ----------
     verilog : Path
-        ``top.v`` of an illuminator on an ECP5 board.
+        ``top.v`` of an illuminator.
     oscillator_hz : float
         Frequency of the board's oscillator.
+    family : str
+        Family of the FPGA, one of `FAMILIES`.
 
     Returns
     -------
@@ -143,16 +166,23 @@ def compile_board(verilog: Path, /, *, oscillator_hz: float) -> Path:
     ToolError
         If Verilator is not installed or fails.
     BoardError
-        If the top does not have the pins of an illuminator.
+        If there are no models of the family, or the top does not have the pins of an illuminator.
     """
+    if family not in FAMILIES:
+        raise BoardError(f"{family}: there are models of {', '.join(FAMILIES)}")
     text = verilog.read_text()
-    clock = re.search(r"input (clk\w+__io);", text)
-    leds = re.search(r"output \[(\d+):0\] led_pulse_0__io;", text)
+    clock = re.search(r"(?:input|inout) ((?:clk|clock)\w*__io);", text)
+    leds = re.search(r"(?:output|inout) \[(\d+):0\] led_pulse_0__io;", text)
     if clock is None or leds is None:
         raise BoardError(f"{verilog}: not an illuminator: it has no clock or no led_pulse pins")
-    wrapper = _WRAPPER.format(last=leds[1], clock=clock[1])
+    more = "".join(
+        f"\n        .{name}_0__io({name}_pin),"
+        for name in ("reference", "clock_out")
+        if f" {name}_0__io;" in text
+    )
+    wrapper = _WRAPPER.format(last=leds[1], clock=clock[1], more=more)
     half = round(0.5e12 / oscillator_hz)
-    sources = [MODELS / "primitives.sv", MODELS / "board_main.cc"]
+    sources = [MODELS / f"{family}.sv", MODELS / "board_main.cc"]
     digest = hashlib.sha256("\0".join((text, wrapper, str(half), *_OPTIONS)).encode())
     for source in sources:
         digest.update(source.read_bytes())
@@ -167,7 +197,7 @@ def compile_board(verilog: Path, /, *, oscillator_hz: float) -> Path:
         (work / "board.sv").write_text(wrapper)
         for source in sources:
             shutil.copyfile(source, work / source.name)
-        names = ("top.v", "board.sv", "primitives.sv", "board_main.cc")
+        names = ("top.v", "board.sv", *(source.name for source in sources))
         flags = f"-O1 -DOSC_HALF_PS={half}"
         timing = ("--timescale", "1ps/1ps", "--top-module", "board", "-CFLAGS", flags)
         run_tool("verilator", *_OPTIONS, *timing, "--Mdir", "obj", "-o", "board", *names, cwd=work)
@@ -200,8 +230,8 @@ def run_board(program: Path, script: BoardScript, /) -> BoardRun:
     )
     if finished.returncode:
         raise BoardError(f"the simulation of {program} failed: {finished.stderr[-500:]}")
-    changes: dict[str, list[tuple[int, int]]] = {"led": [], "tx": []}
+    changes: dict[str, list[tuple[int, int]]] = {"led": [], "tx": [], "period": []}
     for line in finished.stdout.splitlines():
         time, name, value = line.split()
         changes[name].append((int(time), int(value)))
-    return BoardRun(changes["led"], changes["tx"], script.now_ps)
+    return BoardRun(changes["led"], changes["tx"], script.now_ps, changes["period"])

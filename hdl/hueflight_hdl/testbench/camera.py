@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from amaranth.hdl import Module
 from amaranth.lib import data, wiring
-from amaranth.lib.wiring import In, Out
+from amaranth.lib.wiring import In, Member, Out
 from numpy.typing import NDArray
 
 from hueflight_protocol import control
@@ -51,7 +51,6 @@ class CameraTestbench(wiring.Component):
 
     def __init__(self, config: CameraConfig) -> None:
         self.config = config
-        form = config.form
         super().__init__(
             {
                 "request_valid": In(1),
@@ -67,9 +66,7 @@ class CameraTestbench(wiring.Component):
                 "word_last": Out(1),
                 "expose": Out(1),
                 "read": Out(1),
-                "beat_valid": In(1),
-                "codes": In(form.lanes * form.code_bits),
-                "marks": In(MARKS_LAYOUT),
+                **self._sensor_members(),
                 "trigger": Out(1),
                 "frame_sync": Out(1),
                 "marker": In(MARKER_BITS),
@@ -81,7 +78,7 @@ class CameraTestbench(wiring.Component):
         m = Module()
         m.submodules.camera = camera = Camera(self.config)
         request, response = camera.requests, camera.responses
-        packets, beats = camera.packets, camera.sensor.beats
+        packets = camera.packets
         m.d.comb += [
             request.valid.eq(self.request_valid),
             request.payload.data.eq(self.request_data),
@@ -97,17 +94,33 @@ class CameraTestbench(wiring.Component):
             self.word_last.eq(packets.payload.last),
             self.expose.eq(camera.sensor.expose),
             self.read.eq(camera.sensor.read),
-            beats.valid.eq(self.beat_valid),
-            beats.payload.codes.eq(self.codes),
-            beats.payload.first.eq(self.marks.first),
-            beats.payload.row.eq(self.marks.row),
-            beats.payload.last.eq(self.marks.last),
             self.trigger.eq(camera.trigger),
             self.frame_sync.eq(camera.frame_sync),
             camera.marker.eq(self.marker),
             camera.missed.eq(self.missed),
         ]
+        self._attach_sensor(m, camera)
         return m
+
+    def _sensor_members(self) -> dict[str, Member]:
+        """Return the ports of the sensor."""
+        form = self.config.form
+        return {
+            "beat_valid": In(1),
+            "codes": In(form.lanes * form.code_bits),
+            "marks": In(MARKS_LAYOUT),
+        }
+
+    def _attach_sensor(self, m: Module, camera: Camera) -> None:
+        """Connect the camera's sensor port."""
+        beats = camera.sensor.beats
+        m.d.comb += [
+            beats.valid.eq(self.beat_valid),
+            beats.payload.codes.eq(self.codes),
+            beats.payload.first.eq(self.marks.first),
+            beats.payload.row.eq(self.marks.row),
+            beats.payload.last.eq(self.marks.last),
+        ]
 
 
 Taking = Callable[[int], NDArray[np.bool_]]

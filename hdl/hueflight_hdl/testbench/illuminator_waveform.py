@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape
 
 import numpy as np
 from vcd import VCDWriter
+from vcd.gtkw import GTKWSave
 
 from ..illuminator.gearing.ecp5 import Ecp5Gearing
 from ..illuminator.gearing.interface import Gearing
@@ -96,6 +98,29 @@ def write_vcd(waveform: Waveform, path: Path, /) -> None:
         writer.close(round(ticks * waveform.tick_ns * 1000))
 
 
+def write_save_file(waveform: Waveform, dump: Path, path: Path, /) -> None:
+    """Write a save file of GTKWave: the pins of a waveform in their order, all of it in view.
+
+    Parameters
+    ----------
+    waveform : Waveform
+        What `write_vcd` wrote.
+    dump : Path
+        The VCD file, in the same folder.
+    path : Path
+        File to write.
+    """
+    ticks = len(next(iter(waveform.pins.values())))
+    last_ps = ticks * waveform.tick_ns * 1000
+    with path.open("w") as file:
+        save = GTKWSave(file)
+        save.dumpfile(dump.name, abspath=False)
+        save.zoom_markers(zoom=-math.log2(last_ps / _VIEW_PIXELS))  # all of it in view
+        for name in waveform.pins:
+            save.trace(f"illuminator.{name}")
+
+
+_VIEW_PIXELS = 1000
 _LEFT, _WIDTH, _ROW, _HIGH, _TOP = 76, 760, 34, 20, 20
 _STYLE = """\
 text { font: 12px system-ui, sans-serif; fill: #333 }

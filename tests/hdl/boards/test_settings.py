@@ -30,6 +30,7 @@ CHOSEN = {
         "burst_ticks": 60,
         "baud": 115200,
         "serial": 0xBEEF,
+        "reference_hz": 10_000_000,
     },
     "camera": {
         "rows": 64,
@@ -38,6 +39,8 @@ CHOSEN = {
         "lanes": 4,
         "run": 256,
         "geometry": 7,
+        "sensor": 1,
+        "overlap": 0,
         "banks": 4,
         "buffer_words": 1024,
         "admit_words": 128,
@@ -51,14 +54,17 @@ def test_every_setting_can_be_chosen(design):
     chosen = CHOSEN[design]
     assert set(chosen) == {setting.name for setting in BY_DESIGN[design]}
     options = Options(settings=chosen)
-    assert find_target(design, "ulx3s-85f", options).settings == chosen
+    assert find_target(design, "ecpix5-85f", options).settings == chosen
     if design == "illuminator":
-        config = choose_illuminator(ecp5_config(), options, board="ulx3s-85f", leds=9)
+        config = choose_illuminator(
+            ecp5_config(), options, board="ulx3s-85f", leds=9, external_clock=True
+        )
         registers = config.registers()
         capacity = {name: place.field.reset for name, place in registers["capacity"].fields.items()}
         assert capacity == {"channels": 4, "pulses": 2, "steps": 8, "lanes": 4}
         assert config.pulse.limit(3).max_on_ticks == 40
         assert (config.baud, config.serial) == (115200, 0xBEEF)
+        assert config.reference_hz == 10_000_000
     else:
         config = camera_config(options)
         assert (config.form.rows, config.form.cols, config.form.lanes) == (64, 32, 4)
@@ -86,12 +92,13 @@ def test_a_design_file_is_written_and_read_again(tmp_path):
         (["pulses"], "--set pulses: must be NAME=VALUE"),
         (["pulses=1", "pulses=2"], "pulses is set twice"),
         (["max_on_ticks=2"], "is less than one clock"),
+        (["baud=12000000"], "at most 6250000 baud"),
     ],
 )
 def test_refusals_say_what_fits(words, said):
     with pytest.raises(Exception, match=said) as caught:
         find_target("illuminator", "ulx3s-85f", read_options(words=words))
-    assert type(caught.value).__name__ in ("TargetError", "ConfigError")
+    assert type(caught.value).__name__ in ("TargetError", "ConfigError", "UartError")
 
 
 def test_lanes_are_not_set_twice(tmp_path):

@@ -2,6 +2,7 @@
 """Boards: pins that exist once, pins that must be told, and messages that say what there is."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -34,6 +35,7 @@ def test_designs_and_boards():
         ("lamp", "hx8k", Options(), "camera, illuminator"),
         ("camera", "hx8k", Options(), "ulx3s-85f, ulx3s-45f, .*, xem6310"),
         ("illuminator", "hx8k", Options(lanes=4), "only the camera has a sensor port with lanes"),
+        ("illuminator", "hx8k", Options(pins=Path("a.toml")), "the pins of hx8k are fixed"),
         ("illuminator", "xem3010", Options(), r"is not guessed: give --pins .*clock_hz.*led_pulse"),
         ("camera", "xem6310", Options(), r"not guessed: give --pins .*marker \(8 pins\)"),
     ],
@@ -91,6 +93,47 @@ def test_the_pll_of_the_hx8k_makes_the_clock_that_is_configured(tmp_path):
     oscillator = target.platform().default_clk_frequency
     made = oscillator * (values["DIVF"] + 1) / (1 << values["DIVQ"]) / (values["DIVR"] + 1)
     assert made == pytest.approx(1e6 * target.clocks_mhz["pulse"])
+
+
+SENSOR = """
+sensor_clock = "P3"
+sensor_data = ["N1", "N3", "M1", "M2"]
+sensor_control = "L1"
+sensor_expose = "L3"
+sensor_read = "K1"
+"""
+
+
+def test_a_sensor_on_pins_of_the_ecpix5(tmp_path):
+    target = find_target("camera", "ecpix5-85f", Options(settings={"sensor": 1, "lanes": 8}))
+    assert target.clocks_mhz["sensor"] == 100
+    prepare(target, tmp_path)
+    pins = re.findall(r'SITE "(\w+)"', (tmp_path / "top.lpf").read_text())
+    assert len(pins) == len(set(pins))
+    text = (tmp_path / "top.il").read_text()
+    assert text.count("cell \\IDDRX2F") == 9
+    assert text.count("cell \\DELAYG") == 9
+    assert "ECLK_CENTERED" in text
+
+
+def test_a_sensor_on_pins_of_the_xem6310_has_its_timing_constrained(tmp_path):
+    path = tmp_path / "pins.toml"
+    path.write_text(XEM6310 + SENSOR)
+    options = Options(pins=path, settings={"sensor": 1, "lanes": 4})
+    prepare(find_target("camera", "xem6310", options), tmp_path)
+    ucf = (tmp_path / "top.ucf").read_text()
+    clock = re.search(r'OFFSET = IN 0.32 ns VALID 0.64 ns BEFORE "(\w+)" RISING;', ucf)[1]
+    assert f'NET "{clock}" LOC=P3;' in ucf  # the constraint is on a pin that exists
+    assert f'BEFORE "{clock}" FALLING;' in ucf
+    path.write_text(XEM6310)
+    with pytest.raises(TargetError, match="sensor_data"):
+        find_target("camera", "xem6310", options)
+
+
+@pytest.mark.parametrize("board", ["ulx3s-85f", "ulx3s-25f"])
+def test_a_sensor_needs_pins(board):
+    with pytest.raises(TargetError, match="no sensor"):
+        find_target("camera", board, Options(settings={"sensor": 1}))
 
 
 @pytest.mark.slow

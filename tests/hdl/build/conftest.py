@@ -9,8 +9,12 @@ from amaranth.hdl import Cat, ClockDomain, ClockSignal, Elaboratable, Module, Si
 from amaranth.lib.memory import Memory
 from amaranth.vendor import LatticeECP5Platform, LatticeICE40Platform
 
+from hueflight_hdl.boards.ecp5_clocks import Ecp5Clocks
+from hueflight_hdl.boards.ecp5_pll import pll_place
+from hueflight_hdl.boards.ecp5_reference import Ecp5Reference, clock_output
 from hueflight_hdl.boards.pins import drive_pin, read_pin
 from hueflight_hdl.boards.target import Target
+from hueflight_hdl.illuminator.gearing.ecp5 import Ecp5Gearing
 
 
 class SmallPlatform(LatticeICE40Platform):
@@ -46,6 +50,59 @@ class SmallEcp5Platform(LatticeECP5Platform):
         Resource("clock", 0, Pins("G2", dir="i"), Clock(25e6), Attrs(IO_TYPE="LVCMOS33")),
         Resource("lamp", 0, Pins("B2", dir="o"), Attrs(IO_TYPE="LVCMOS33")),
     )
+
+
+class TwoEdgesPlatform(LatticeECP5Platform):
+    device = "LFE5U-12F"
+    package = "BG256"
+    speed = "6"
+    default_clk = "clock"
+    connectors = ()
+    resources = (
+        Resource("clock", 0, Pins("P6", dir="i"), Clock(25e6), Attrs(IO_TYPE="LVCMOS33")),
+        Resource("lamp", 0, Pins("A8", dir="o"), Attrs(IO_TYPE="LVCMOS33")),
+        Resource("reference", 0, Pins("K1", dir="i"), Attrs(IO_TYPE="LVCMOS33")),
+        Resource("left", 0, Pins("C1", dir="o"), Attrs(IO_TYPE="LVCMOS33")),
+        Resource("right", 0, Pins("P11", dir="o"), Attrs(IO_TYPE="LVCMOS33")),
+    )
+
+
+class TwoEdges(Elaboratable):
+    """Geared outputs on both edges of the device."""
+
+    def elaborate(self, platform):
+        m = Module()
+        clocks = Ecp5Clocks(read_pin(m, platform, "clock"), 25e6, pulse_hz=100e6)
+        clocks.add_to(m, platform)
+        count = Signal(4)
+        lamp = Signal()
+        m.d.pulse += count.eq(count + 1)
+        m.d.sync += lamp.eq(~lamp)
+        drive_pin(m, platform, "lamp", lamp)
+        for name in ("left", "right"):
+            Ecp5Gearing().add_output(m, name, platform.request(name, 0, dir="-"), count)
+        return m
+
+
+class TwoClocks(Elaboratable):
+    """The clocks of an illuminator that may run from 10 MHz, and a counter."""
+
+    def elaborate(self, platform):
+        m = Module()
+        oscillator = read_pin(m, platform, "clock")
+        external = read_pin(m, platform, "reference")
+        place = pll_place(platform.device, "left")
+        reference = Ecp5Reference(oscillator, 25_000_000, external, 10_000_000, place=place)
+        Ecp5Clocks(oscillator, 25e6, reference=reference).add_to(m, platform)
+        out, lamp, count = Signal(), Signal(), Signal(4)
+        clock_output(m, reference.chosen, out)
+        m.d.pulse += count.eq(count + 1)
+        m.d.sync += lamp.eq(reference.state.as_value().any())
+        m.d.comb += reference.wanted.eq(lamp)
+        drive_pin(m, platform, "right", out)
+        drive_pin(m, platform, "lamp", lamp)
+        Ecp5Gearing().add_output(m, "left", platform.request("left", 0, dir="-"), count)
+        return m
 
 
 class Constants(Elaboratable):
@@ -89,3 +146,15 @@ def small() -> Callable[..., Target]:
         return Target("illuminator", "small", SmallPlatform, Blink, {"sync": mhz}, "ice40")
 
     return make
+
+
+@pytest.fixture
+def two_edges() -> Target:
+    """A target whose geared pins are on both edges of the device."""
+    return Target("illuminator", "small", TwoEdgesPlatform, TwoEdges, {"pulse": 100.0}, "ecp5")
+
+
+@pytest.fixture
+def two_clocks() -> Target:
+    """A target that chooses between two clocks."""
+    return Target("illuminator", "small", TwoEdgesPlatform, TwoClocks, {"pulse": 200.0}, "ecp5")

@@ -92,6 +92,22 @@ def test_a_smaller_margin_is_accepted_with_a_note(builder, small, tmp_path, monk
     )
 
 
+@pytest.mark.slow
+def test_geared_pins_on_both_edges_are_refused_with_the_reason(builder, two_edges, tmp_path):
+    with pytest.raises(BuildError, match="must all be on the left edge of the device, or all on"):
+        build(two_edges, tmp_path)
+
+
+@pytest.mark.slow
+def test_an_external_clock_is_placed_and_routed(builder, two_clocks, tmp_path):
+    """Two PLLs in a row with the choice between them, and the clock output's register."""
+    report = build(two_clocks, tmp_path)
+    assert report.reached, report.to_json()
+    placed = json.loads((tmp_path / "nextpnr.json").read_text())["utilization"]
+    assert placed["EHXPLLL"]["used"] == 2
+    assert placed["IOLOGIC"]["used"] + placed["SIOLOGIC"]["used"] == 2  # LED and clock output
+
+
 def test_ise_boards_are_not_built_here(small, tmp_path):
     target = small(12)
     ise = type(target)(**{**vars(target), "family": "xc3s"})

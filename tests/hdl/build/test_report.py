@@ -5,7 +5,14 @@ import json
 
 import pytest
 
-from hueflight_hdl.build.report import BuildError, BuildReport, ClockResult, read_cells, read_clocks
+from hueflight_hdl.build.report import (
+    BuildError,
+    BuildReport,
+    ClockResult,
+    read_cells,
+    read_clocks,
+    read_paths,
+)
 from hueflight_hdl.build.table import page
 
 # shortened from what nextpnr 0.11 wrote for two boards
@@ -41,6 +48,36 @@ def test_clocks_are_found_by_domain_and_the_slowest_counts(tmp_path):
     found = read_clocks(written(tmp_path, ECP5), {"pulse": 200.0, "sync": 50.0})
     assert found["pulse"].reached_mhz == 219.0
     assert found["sync"].reached_mhz == 95.5
+
+
+def segment(kind, delay, begins, ends):
+    return {"type": kind, "delay": delay, "from": {"cell": begins}, "to": {"cell": ends}}
+
+
+def test_the_slowest_path_of_each_clock_is_told(tmp_path):
+    """As nextpnr writes them: to the setup of the last register, and across domains too."""
+    slow = [
+        segment("clk-to-q", 0.54, "from_reg", "from_reg"),
+        segment("routing", 1.5, "from_reg", "lut"),
+        segment("logic", 0.4, "lut", "lut"),
+        segment("routing", 0.6, "lut", "to_reg"),
+        segment("setup", 0.1, "to_reg", "to_reg"),
+    ]
+    quick = [segment("clk-to-q", 0.5, "a", "a"), segment("setup", 0.1, "b", "b")]
+    clock, other = "posedge clocks.pulse_clk_$glb_clk", "posedge clk"
+    content = [
+        {"from": clock, "to": clock, "path": quick},
+        {"from": clock, "to": clock, "path": slow},
+        {"from": clock, "to": other, "path": [*slow, *slow]},
+    ]
+    path = written(tmp_path, {"critical_paths": content})
+    found = read_paths(path, ["pulse", "sync"])
+    assert list(found) == ["pulse"]
+    assert (found["pulse"].begins, found["pulse"].ends) == ("from_reg", "to_reg")
+    assert found["pulse"].logic_ns == pytest.approx(1.04)
+    assert found["pulse"].routing_ns == pytest.approx(2.1)
+    assert found["pulse"].levels == 1
+    assert "3.14 ns, of it 2.10 ns in wires, 1 cells between" in found["pulse"].describe()
 
 
 def test_a_clock_that_is_not_there_is_no_clock_that_is_fast(tmp_path):
@@ -92,3 +129,19 @@ def test_the_page_says_who_falls_short():
     assert "112.3 of 100 MHz (+12.3%) | yes | 3 (2)" in good
     assert "**no**" in bad
     assert "| camera, c, 4 lanes | 7 | 2 |" in lines
+    assert "on pins" not in good
+
+
+def test_the_page_says_which_camera_has_a_sensor_on_pins():
+    clock = {"reached_mhz": 120.0, "needed_mhz": 100.0, "margin": 0.2}
+    report = {
+        "design": "camera",
+        "board": "b",
+        "lanes": 8,
+        "used": {"LUT4": [1, 2]},
+        "clocks": {"sync": clock, "sensor": clock},
+        "seed": 1,
+        "tried": {"1": 0.2},
+        "reached": True,
+    }
+    assert "| camera, b, 8 lanes, sensor on pins | 1 LUT4s |" in page([report], [])

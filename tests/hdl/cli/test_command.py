@@ -2,15 +2,20 @@
 """The command: help, refusals without tracebacks, projects for other toolchains."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 from amaranth.hdl import Assert, Module
 from amaranth.lib import wiring
 from amaranth.lib.wiring import In
 
+from hueflight_hdl.boards.targets import find_target
 from hueflight_hdl.cli import main
+from hueflight_hdl.control.register_file import RegisterFile
 from hueflight_hdl.proofs.proof import Proof
 from hueflight_protocol import Frame, PacketParser
+from hueflight_protocol.registers import RegisterMap
 
 
 def fails(capsys, *words):
@@ -19,6 +24,15 @@ def fails(capsys, *words):
     said = capsys.readouterr().err
     assert "Traceback" not in said
     return ended.value.code, said
+
+
+def test_an_interrupted_elaboration_ends_with_one_message(tmp_path):
+    words = ["verilog", "camera", "--board", "ulx3s-85f", "--set", "buffer_words=100"]
+    run = f"from hueflight_hdl.cli import main; main({[*words, '--folder', str(tmp_path)]})"
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    _, message = done.stderr.splitlines()  # after the line of progress
+    assert message == "error: buffer_words = 100: must be a power of two from 32 up"
 
 
 def test_help_names_every_command(capsys):
@@ -39,8 +53,11 @@ def test_help_names_every_command(capsys):
         (["build", "illuminator", "--board", "hx8k", "--accept-margin", "-5"], "-5"),
         (["verilog", "camera", "--board", "xem6310"], "not guessed"),
         (["verilog", "camera", "--board", "xem6310", "--pins", "none.toml"], "none.toml"),
+        (["verilog", "camera", "--core"], "--core for the illuminator"),
+        (["verilog", "illuminator", "--core", "--count"], "--count need a board"),
         (["registers", "radio"], "one of illuminator, camera"),
         (["registers", "camera", "--format", "pdf"], "must be one of json, svd, c"),
+        (["registers", "camera", "--pins", "a.toml"], "--pins a.toml: give --board too"),
         (["registers", "camera", "--set", "channels=2"], "choose from rows, cols"),
         (["prove", "radio"], "one of illuminator, camera"),
         (["prove", "camera", "--only", "magic"], "camera-stable"),
@@ -153,3 +170,25 @@ def test_registers_are_written_for_the_sizes_that_were_chosen(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["registers", "camera", "--format", "svd"])
     assert capsys.readouterr().out.startswith("<?xml")
+
+
+@pytest.mark.parametrize(("design", "board"), [("illuminator", "hx8k"), ("camera", "ulx3s-85f")])
+def test_registers_of_a_board_are_those_that_it_reports(monkeypatch, capsys, design, board):
+    """The fingerprint in the file is the one that the gateware has as a constant."""
+    built: list[RegisterMap] = []
+    original = RegisterFile.__init__
+
+    def record(self, registers, **rest):
+        built.append(registers)
+        original(self, registers, **rest)
+
+    monkeypatch.setattr(RegisterFile, "__init__", record)
+    target = find_target(design, board)
+    target.platform().prepare(target.top(), "top")
+    with pytest.raises(SystemExit):
+        main(["registers", design, "--board", board])
+    found = json.loads(capsys.readouterr().out)
+    assert [found["fingerprint"]] == [registers.fingerprint for registers in built]
+    (clock,) = (entry for entry in found["registers"] if entry["name"] == "clock_hz")
+    rate = target.clocks_mhz["pulse" if design == "illuminator" else "sync"]
+    assert clock["reset"] == pytest.approx(1e6 * rate)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from amaranth.hdl import Module, Signal
 
-from hueflight_hdl.camera import counters
+from hueflight_hdl.camera import counters, reduction
 from hueflight_hdl.camera.exposure.frame_guard import FrameGuard
 from hueflight_hdl.camera.formatter import formatter as formatter_module
 from hueflight_hdl.camera.formatter.admission import FrameAdmission
@@ -26,7 +26,7 @@ from hueflight_hdl.proofs.camera_formatter import (
 )
 from hueflight_hdl.proofs.proof import Proof, ProofError, prove
 
-QUICK = ("camera-stable", "camera-counters")
+QUICK = ("camera-stable", "camera-counters", "camera-sums")
 
 
 @pytest.mark.parametrize("proof", [p for p in PROOFS if p.name in QUICK], ids=lambda p: p.name)
@@ -137,3 +137,24 @@ def test_a_readout_without_a_verdict_is_found(prover, monkeypatch):
 
     monkeypatch.setattr(camera_capture, "FrameGuard", Silent)
     broken(VerdictHarness, depth=20)
+
+
+@pytest.mark.slow
+def test_a_picture_that_is_shown_before_its_last_write_is_found(prover, monkeypatch):
+    monkeypatch.setattr(reduction, "LATENCY", 1)
+    proof = next(proof for proof in PROOFS if proof.name == "camera-sum-banks")
+    with pytest.raises(ProofError, match="No sum of a picture"):
+        prove(proof)
+
+
+@pytest.mark.slow
+def test_a_sum_that_wraps_is_found(prover, monkeypatch):
+    def wrap(self, platform):
+        m = Module()
+        m.d.comb += self.after.eq(self.before + self.entry)
+        return m
+
+    monkeypatch.setattr(reduction.SaturatingSum, "elaborate", wrap)
+    proof = next(proof for proof in PROOFS if proof.name == "camera-sums")
+    with pytest.raises(ProofError, match="A sum is exact"):
+        prove(proof)

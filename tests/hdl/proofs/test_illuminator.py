@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 from amaranth.hdl import Module, Signal
 
+from hueflight_hdl.boards.reference_clock import ReferenceSupervisor
 from hueflight_hdl.illuminator.arming import Arming
 from hueflight_hdl.illuminator.pulse_generator.generator import PulseGenerator
 from hueflight_hdl.illuminator.pulse_generator.limiter import OutputLimiter
@@ -20,7 +21,7 @@ from hueflight_hdl.proofs.illuminator_limits import LimiterHarness
 from hueflight_hdl.proofs.proof import ProofError, prove
 
 BY_NAME = {proof.name: proof for proof in PROOFS}
-QUICK = {"illuminator-dark"}
+QUICK = {"illuminator-dark", "illuminator-reference"}
 
 
 @pytest.mark.parametrize(
@@ -77,6 +78,9 @@ FALSE = {
     "a filter one tick wider": set_to("illuminator-filter-4", FilterHarness, "spare", 1),
     "trains farther apart": set_to("illuminator-bank", illuminator_banks, "MIN_SPACING", 9),
     "a bank let go at once": set_to("illuminator-other-bank", OtherBankHarness, "HELD_CLOCKS", 1),
+    "a lost clock let go sooner": set_to(
+        "illuminator-reference", ReferenceSupervisor, "latency", 6
+    ),
     "answered sooner": set_to("illuminator-answers", illuminator_requests, "LONGEST", 3000),
 }
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole generated top of ECP5 boards: Table 1, and no LED stays on when the PLL loses lock."""
+"""The whole generated top of boards: Table 1, and no LED stays on when the PLL loses lock."""
 
 from __future__ import annotations
 
@@ -10,17 +10,21 @@ import pytest
 
 from hueflight_hdl.boards.targets import find_target
 from hueflight_hdl.build.project import write_project
-from hueflight_hdl.testbench.board import BoardRun, BoardScript, compile_board, run_board
-from hueflight_protocol import control
+from hueflight_hdl.testbench.board import compile_board, run_board
 from hueflight_protocol.control import Result
-from hueflight_protocol.illuminator_map import ARM_KEY, illuminator_map
+from hueflight_protocol.illuminator_map import ARM_KEY
+from support.board_session import ULX3S, US, Board, Session, lit
 
-OSCILLATORS_HZ = {"ulx3s-85f": 25e6, "ecpix5-85f": 100e6}
-US = 1_000_000  # in picoseconds
-TICK = 1250
-LATENCY = 24 * 4 * TICK  # docs/illuminator.md: 24 clocks of four ticks
-MAP = illuminator_map()
-BOARDS = pytest.mark.parametrize("board", ["ulx3s-85f", "ecpix5-85f"])
+FILES = Path(__file__).parents[1] / "boards" / "examples"
+
+
+ECPIX5 = Board("ecpix5-85f", "ecp5", 100e6, 1250, 24 * 4)
+# 12 MHz · 67 / 8 and two ticks a clock; input, pipeline and output have 2 + 19 + 1 clocks
+HX8K = Board("hx8k", "ice40", 12e6, 4975, 22 * 2)
+ARTY = Board(str(FILES / "arty-a7.toml"), "xc7", 100e6, 1250, 24 * 4)
+NAMES = {"ids": lambda board: Path(board.name).stem}
+BOARDS = pytest.mark.parametrize("board", [ULX3S, ECPIX5, HX8K, ARTY], **NAMES)
+SUPERVISED = pytest.mark.parametrize("board", [ULX3S, ECPIX5, ARTY], **NAMES)
 FAULT_BIT = 1 << 5
 
 pytestmark = [
@@ -30,94 +34,53 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def compiled(verilator: None, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def compiled(verilator: None, tmp_path_factory: pytest.TempPathFactory) -> Callable[[Board], Path]:
     """Function that compiles the illuminator of a board once."""
-    programs: dict[str, Path] = {}
+    programs: dict[Board, Path] = {}
 
-    def make(board: str) -> Path:
+    def make(board: Board) -> Path:
         if board not in programs:
-            folder = tmp_path_factory.mktemp(board)
-            write_project(find_target("illuminator", board), folder, constraints=False)
-            programs[board] = compile_board(folder / "top.v", oscillator_hz=OSCILLATORS_HZ[board])
+            folder = tmp_path_factory.mktemp("board")
+            write_project(find_target("illuminator", board.name), folder, constraints=False)
+            programs[board] = compile_board(
+                folder / "top.v", oscillator_hz=board.oscillator_hz, family=board.family
+            )
         return programs[board]
 
     return make
 
 
-class Session(BoardScript):
-    """A script with numbered requests; each waits for its response."""
-
-    def __init__(self, *, trigger: int = 0) -> None:
-        super().__init__()
-        self.requests = 0
-        self.set("trigger", trigger)
-        self.wait(20 * US)  # the PLL locks
-
-    def request(self, request: control.Request) -> int:
-        """Send a request; return its place among the responses."""
-        self.send(control.serial_frame(control.encode_request(request)))
-        self.wait(180 * US)
-        self.requests += 1
-        return self.requests - 1
-
-    def write(self, name: str, *words: int) -> int:
-        return self.request(control.write(self.requests, MAP[name].address, words))
-
-    def read(self, name: str, count: int = 1) -> int:
-        return self.request(control.read(self.requests, MAP[name].address, count))
-
-    def load(self, *, width: int = 8) -> None:
-        """Load Table 1: nine pulses, 24 ticks apart, with another width."""
-        words = [0] * 36
-        for channel in range(9):
-            words[4 * channel] = 24 * channel | width << 16
-        self.write("pulse", *words)
-        self.write("bank_enable", 0x1FF)
-
-    def trigger(self) -> int:
-        """Send a trigger; return its time."""
-        at = self.now_ps
-        self.set("trigger", 1)
-        self.wait(TICK * 8)
-        self.set("trigger", 0)
-        return at
-
-
-def lit(run: BoardRun, start: int, stop: int) -> bool:
-    """Whether any LED is on within a window."""
-    before = [levels for time, levels in run.led if time <= start]
-    return bool(before[-1]) or any(levels for time, levels in run.led if start < time < stop)
-
-
 @BOARDS
-def test_table_1_at_every_phase_of_the_trigger(compiled: Callable[[str], Path], board: str):
-    session = Session()
+def test_table_1_at_every_phase_of_the_trigger(compiled: Callable[[Board], Path], board: Board):
+    session = Session(board)
     session.load()
     session.write("arm", ARM_KEY)
+    tick, latency = board.tick_ps, board.latency_ticks * board.tick_ps
     starts = []
     for phase in range(8):
-        session.wait(3 * US + phase * TICK)
+        session.wait(4 * US + phase * tick)
         starts.append(session.trigger())
     session.wait(3 * US)
     run = run_board(compiled(board), session)
     assert [response.result for response in run.responses()] == [Result.OK] * session.requests
     for start in starts:
-        (first, _), *_ = run.pulses(0, start, start + US)
-        # sampled at the next edge of 800 MHz; the pins have no delay of their own here
-        assert LATENCY - 4 * TICK <= first - start <= LATENCY + TICK
-        for channel in range(9):
-            assert run.pulses(channel, start, start + US) == [
-                (first + 24 * TICK * channel, 8 * TICK)
+        (first, _), *_ = run.pulses(0, start, start + 2 * US)
+        # sampled at the next tick; the pins have no delay of their own here
+        assert latency - 4 * tick <= first - start <= latency + tick
+        for channel in range(board.leds):
+            assert run.pulses(channel, start, start + 2 * US) == [
+                (first + 24 * tick * channel, 8 * tick)
             ]
 
 
-@BOARDS
+@SUPERVISED
 @pytest.mark.parametrize("mode", [1, 2], ids=["clock drifts on", "clock stops"])
 def test_loss_of_lock_at_every_phase_of_a_pulse(
-    compiled: Callable[[str], Path], board: str, mode: int
+    compiled: Callable[[Board], Path], board: Board, mode: int
 ):
     """LEDs are off at once and stay off; the board is disarmed and reports the failure."""
-    session = Session()
+    tick, latency = board.tick_ps, board.latency_ticks * board.tick_ps
+    session = Session(board)
     session.load()
     losses, again, checks = [], [], []
     session.write("faults", 0xFFFF)
@@ -127,7 +90,7 @@ def test_loss_of_lock_at_every_phase_of_a_pulse(
     for step in range(-5, 11):
         session.write("arm", ARM_KEY)
         session.trigger()
-        session.wait(LATENCY - 8 * TICK + step * TICK)
+        session.wait(latency - 8 * tick + step * tick)
         losses.append(session.now_ps)
         session.set("pll", mode)
         session.wait(5 * US)
@@ -146,11 +109,11 @@ def test_loss_of_lock_at_every_phase_of_a_pulse(
 
     hit = 0
     for loss, trigger in zip(losses, again, strict=True):
-        before = run.pulses(0, loss - 20 * TICK, loss + 1)
+        before = run.pulses(0, loss - 20 * tick, loss + 1)
         hit += any(start + width >= loss for start, width in before)
-        assert all(width <= 8 * TICK for _, width in before)
+        assert all(width <= 8 * tick for _, width in before)
         # the model of the PLL notices within a half period of its output, or 1 ns
-        assert not lit(run, loss + TICK, trigger + 2 * US)
+        assert not lit(run, loss + tick, trigger + 2 * US)
     assert hit >= 8  # of the eight ticks of the pulse, each was cut
     responses = run.responses()
     assert [response.result for response in responses] == [Result.OK] * session.requests
@@ -163,16 +126,16 @@ def test_loss_of_lock_at_every_phase_of_a_pulse(
     # armed again, it fires as before, and as late: no I/O register starts half a clock off
     (first, _), *_ = run.pulses(0, before_any, before_any + US)
     (again_first, _), *_ = run.pulses(0, last, last + US)
-    assert abs((again_first - last) - (first - before_any)) <= TICK
-    for channel in range(9):
-        assert [width for _, width in run.pulses(channel, last, last + US)] == [8 * TICK]
+    assert abs((again_first - last) - (first - before_any)) <= tick
+    for channel in range(board.leds):
+        assert [width for _, width in run.pulses(channel, last, last + US)] == [8 * tick]
 
 
 @BOARDS
 def test_a_trigger_that_is_high_from_the_beginning_is_no_edge(
-    compiled: Callable[[str], Path], board: str
+    compiled: Callable[[Board], Path], board: Board
 ):
-    session = Session(trigger=1)
+    session = Session(board, trigger=1)
     none = session.read("triggers_seen")
     session.set("trigger", 0)
     session.wait(US)
@@ -183,17 +146,43 @@ def test_a_trigger_that_is_high_from_the_beginning_is_no_edge(
     assert responses[one].payload == (1,)
 
 
-@BOARDS
-def test_a_dead_oscillator_turns_the_leds_off(compiled: Callable[[str], Path], board: str):
+@SUPERVISED
+def test_a_dead_oscillator_turns_the_leds_off(compiled: Callable[[Board], Path], board: Board):
     """The PLL's loss of lock, not a clock, releases the pins."""
-    session = Session()
+    session = Session(board)
     session.load(width=72)
     session.write("arm", ARM_KEY)
     session.trigger()
-    session.wait(LATENCY - 8 * TICK + 10 * TICK)
+    session.wait(board.tick_ps * (board.latency_ticks + 2))
     stopped = session.now_ps
     session.set("osc", 0)
     session.wait(50 * US)
     run = run_board(compiled(board), session)
     assert run.pulses(0, 0, stopped)
     assert not lit(run, stopped + US, run.end_ps)
+
+
+def test_the_hx8k_is_disarmed_after_a_loss_of_lock_but_needs_a_clock(
+    compiled: Callable[[Board], Path],
+):
+    """What docs/illuminator.md states of a board without supervision, in both directions."""
+    tick, latency = HX8K.tick_ps, HX8K.latency_ticks * HX8K.tick_ps
+    for mode in (1, 2):
+        session = Session(HX8K)
+        session.load()
+        session.write("arm", ARM_KEY)
+        session.trigger()
+        session.wait(latency - 4 * tick)
+        lost = session.now_ps
+        session.set("pll", mode)
+        session.wait(20 * US)
+        again = session.now_ps
+        session.set("pll", 0)
+        session.wait(40 * US)
+        state = session.read("state")
+        run = run_board(compiled(HX8K), session)
+        assert lit(run, lost - 4 * tick, lost + 1)
+        # the next clocks turn the LED off; without them its pin keeps its level
+        assert lit(run, again - US, again) == (mode == 2)
+        assert not lit(run, again + 30 * US, again + 40 * US)
+        assert not run.responses()[state].payload[0] & 1, "armed after the failure"

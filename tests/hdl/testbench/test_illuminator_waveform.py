@@ -16,6 +16,7 @@ from hueflight_hdl.testbench.illuminator_waveform import (
     Waveform,
     draw,
     record_train,
+    write_save_file,
     write_vcd,
 )
 from hueflight_hdl.testbench.jitter import jitter_table, trigger_jitter
@@ -45,6 +46,16 @@ def read_vcd(path: Path) -> dict[str, list[tuple[int, str]]]:
 def small(simulator: None) -> Waveform:
     pulses = [[Pulse(24 * channel, 8)] + [Pulse(0, 0)] * 3 for channel in range(3)]
     return record_train(small_illuminator(4), Ecp5Gearing(), Schedule(256, 7, pulses), phase=3)
+
+
+def test_the_save_file_shows_the_signals_of_the_dump(small: Waveform, tmp_path: Path):
+    dump, save = tmp_path / "train.vcd", tmp_path / "train.gtkw"
+    write_vcd(small, dump)
+    write_save_file(small, dump, save)
+    lines = save.read_text().splitlines()
+    assert '[dumpfile] "train.vcd"' in lines
+    shown = [line.removeprefix("illuminator.") for line in lines if line.startswith("illuminator.")]
+    assert shown == list(read_vcd(dump)) == ["trigger", "armed", "led0", "led1", "led2"]
 
 
 def test_the_dump_has_every_edge(small: Waveform, tmp_path: Path):

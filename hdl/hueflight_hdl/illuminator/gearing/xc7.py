@@ -16,8 +16,8 @@ class Xc7Gearing:
     `edge` runs at twice the frequency of `pulse`, from the same PLL. A pin is released through
     the unregistered path of the serialiser (``DATA_RATE_TQ`` is ``BUF``), which needs no clock.
 
-    The latencies are those of simulations of `pulse` words; the serialisers' own delay from word
-    to pin is constant, but must be taken from a measurement or the vendor's simulation.
+    The latencies are those of the ECP5's gearing and only serve `SimulatedGearing`: those of the
+    serialisers are constant, but must be taken from a measurement or the vendor's simulation.
 
     Parameters
     ----------

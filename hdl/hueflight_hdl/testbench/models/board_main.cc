@@ -6,8 +6,10 @@
 //   trigger LEVEL   set the trigger input
 //   pll MODE        state of the PLL, see pll_mode in the models of primitives
 //   osc RUNS        stop (0) or start (1) the oscillator
+//   reference HALF  half period of the external clock in picoseconds; 0 stops it where it stands
+//   period 0        print the last period of the clock output
 //
-// Each change is a line: time in picoseconds, "led" or "tx", value.
+// Each change is a line: time in picoseconds, "led", "tx" or "period", value.
 #include <algorithm>
 #include <cstdint>
 #include <cstdio>
@@ -27,7 +29,8 @@ struct Board {
     std::unique_ptr<Vboard> top{new Vboard(&context)};
     uint64_t now = 0, next_edge = OSC_HALF_PS;
     bool running = true;
-    int led = -1, tx = -1;
+    uint64_t reference_half = 0, next_reference = 0, rise = 0, period = 0;
+    int led = -1, tx = -1, clock_out = 0;
 
     void settle() {
         context.time(now);
@@ -36,6 +39,11 @@ struct Board {
             std::printf("%llu led %d\n", (unsigned long long)now, led = value);
         if (int value = top->tx; value != tx)
             std::printf("%llu tx %d\n", (unsigned long long)now, tx = value);
+        if (top->clock_out && !clock_out) {
+            period = now - rise;
+            rise = now;
+        }
+        clock_out = top->clock_out;
     }
 
     void wait(uint64_t ps) {
@@ -45,10 +53,15 @@ struct Board {
             uint64_t next = end;
             if (top->eventsPending()) next = std::min<uint64_t>(next, top->nextTimeSlot());
             if (running) next = std::min(next, next_edge);
+            if (reference_half) next = std::min(next, next_reference);
             now = std::max(next, now);
             if (running && now == next_edge) {
                 top->osc = !top->osc;
                 next_edge += OSC_HALF_PS;
+            }
+            if (reference_half && now == next_reference) {
+                top->external_clock = !top->external_clock;
+                next_reference += reference_half;
             }
             settle();
         }
@@ -80,7 +93,13 @@ int main() {
         if (command == "wait") board.wait(value);
         else if (command == "trigger") board.top->trigger = value;
         else if (command == "pll") mode = value;
-        else if (command == "osc") {
+        else if (command == "reference") {
+            board.reference_half = value;
+            board.next_reference = board.now + value;
+        } else if (command == "period") {
+            std::printf("%llu period %llu\n", (unsigned long long)board.now,
+                        (unsigned long long)board.period);
+        } else if (command == "osc") {
             board.running = value;
             board.next_edge = board.now + OSC_HALF_PS;
         } else {

@@ -42,6 +42,8 @@ module EHXPLLL #(
         last_edge = 0; period = 0; half = 0; vco_khz = 0; edges = 0; steady = 0; halves = 0;
     end
 
+    wire stopped = RST && PLLRST_ENA == "ENABLED";
+
     always @(posedge CLKI) begin
         period = $time - last_edge;
         last_edge = $time;
@@ -50,7 +52,12 @@ module EHXPLLL #(
         vco_khz = 64'd500000000 / half * CLKOP_DIV;
     end
 
+    always @(posedge stopped) begin
+        LOCK = 0; CLKOP = 0; CLKOS = 0;
+    end
+
     always begin
+        if (stopped) edges = 0;
         if (edges < 4 || pll_mode() == 2 || $time - last_edge > 3 * period) begin
             LOCK = 0;
             steady = 0;
@@ -124,6 +131,22 @@ module IDDRX2F (input D, ECLK, SCLK, RST, ALIGNWD, output reg Q0, Q1, Q2, Q3);
     always @(posedge ECLK) samples <= {fall, rise, samples[3:2]};
     always @(posedge SCLK) word <= samples;
     always @(posedge SCLK) {Q3, Q2, Q1, Q0} <= word;
+endmodule
+
+// A fixed delay; what it adds to data and clock is in the vendor's setup and hold times.
+module DELAYG #(parameter DEL_MODE = "USER_DEFINED", parameter integer DEL_VALUE = 0)
+    (input A, output Z);
+    assign Z = A;
+endmodule
+
+// A clock of the same frequency with D0 = 1 and D1 = 0.
+module ODDRX1F (input D0, D1, SCLK, RST, output Q);
+    reg rise = 0, fall = 0;
+    always @(posedge SCLK) begin
+        rise <= D0;
+        fall <= D1;
+    end
+    assign Q = SCLK ? rise : fall;
 endmodule
 
 module IB (input I, output O);

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sums never wrap, and the two banks never mix two pictures."""
+
+from __future__ import annotations
+
+from amaranth.hdl import Assert, Module, Signal
+
+from ..camera.reduction import LEAST_GROUPS, ReductionCore, SaturatingSum
+from .harness import FreeHarness
+
+WIDTH, ENTRY_BITS = 19, 8
+
+
+class SumHarness(FreeHarness):
+    """One adder with free inputs."""
+
+    def __init__(self) -> None:
+        self.adder = SaturatingSum(WIDTH, ENTRY_BITS)
+        super().__init__(self.adder)
+
+    def state(self, m: Module) -> None:
+        """The sum is exact or the greatest value, and never less than before."""
+        adder = self.adder
+        exact = adder.after == adder.before + adder.entry
+        greatest = adder.after.all() & (adder.before + adder.entry >= (1 << WIDTH) - 1)
+        m.d.comb += [Assert(exact | greatest), Assert(adder.after >= adder.before)]
+
+
+class BanksHarness(FreeHarness):
+    """The smallest core with free inputs: any beats, marks, settings and readers."""
+
+    def __init__(self) -> None:
+        self.core = ReductionCore(
+            pixels=LEAST_GROUPS,
+            lanes=1,
+            code_bits=2,
+            widths=(2,),
+            entry_bits=1,
+            first=1,
+            last=3,
+        )
+        super().__init__(self.core)
+
+    def state(self, m: Module) -> None:
+        """A picture that can be read does not change until it is given back."""
+        core = self.core
+        written = core.writing & (core.write_bank == core.read_bank)
+        m.d.comb += Assert(~(core.ready & written))
+        for value in (core.read_bank, core.picture, core.frames):
+            before, kept = Signal.like(value), Signal()
+            m.d.sync += [before.eq(value), kept.eq(core.ready & ~core.done)]
+            with m.If(kept):
+                m.d.comb += [Assert(value == before), Assert(core.ready)]

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The self-test of the bench on the gateware in simulation, through its serial pins."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hueflight.devices import DeviceError
+from hueflight.devices.illuminator import Illuminator
+from hueflight.devices.selftest import run_selftest
+from hueflight.devices.transports.replay import RecordingTransport, ReplayTransport
+from hueflight.devices.transports.serial import SerialTransport
+from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
+from hueflight_protocol.typed_registers.illuminator import TriggerPeriod
+
+from .conftest import WAIT_S
+
+WORDS = 20  # on a simulated line
+
+
+def test_the_gateware_passes_and_each_led_fires_alone(
+    driver: Illuminator, bench: IlluminatorTestbench
+):
+    bench.record()
+    results = run_selftest(driver, words=WORDS)
+    bench.recording = False
+    assert [result.name for result in results] == [
+        "clock",
+        "line",
+        *(f"LED {channel}" for channel in range(3)),
+        "watchdog",
+    ]
+    assert all(result.passed for result in results), results
+    levels = bench.levels()
+    lit = levels.any(axis=1)
+    assert lit.all()
+    assert not (levels.sum(axis=0) > 1).any()  # one LED at a time
+    for channel in levels:
+        starts = np.flatnonzero(np.diff(channel.astype(np.int8)) > 0)
+        assert channel.sum() == len(starts)  # a tick is longer than 10 ns here
+        assert np.diff(starts).min() >= TriggerPeriod.VALUE_MAX
+    assert not driver.state().armed
+
+
+def test_leds_stay_off_if_asked(driver: Illuminator, bench: IlluminatorTestbench):
+    bench.record()
+    results = run_selftest(driver, words=WORDS, leds=False)
+    bench.recording = False
+    assert [result.name for result in results] == ["clock", "line"]
+    assert not bench.levels().any()
+
+
+def test_a_line_that_loses_bits_fails(driver: Illuminator, bench: IlluminatorTestbench):
+    number = iter(range(1_000_000))
+    written = bench.write
+
+    def damaged(data: bytes) -> None:
+        spoiled = bytes([data[0], data[1] ^ 1, *data[2:]]) if next(number) in (20, 26, 33) else data
+        written(spoiled)
+
+    impatient = Illuminator(SerialTransport(bench), timeout_s=0.5)
+    bench.write = damaged
+    try:
+        results = run_selftest(impatient, words=WORDS, leds=False)
+    finally:
+        bench.write = written
+    assert not next(result for result in results if result.name == "line").passed
+
+
+def test_a_failure_of_the_clock_is_told(driver: Illuminator, bench: IlluminatorTestbench):
+    bench.clock_failed = lambda clock, count: np.arange(count) < 400
+    bench.advance(1000)
+    bench.clock_failed = None
+    bench.advance(1000)
+    results = run_selftest(driver, words=1, leds=False)
+    assert not results[0].passed
+    assert results[0].measured == "1 failures"
+
+
+def test_an_armed_board_is_left_alone(driver: Illuminator):
+    driver.arm(watchdog_ms=1000)
+    with pytest.raises(DeviceError, match="is armed"):
+        run_selftest(driver)
+    assert driver.state().armed
+
+
+def test_recorded_transactions_replay(bench: IlluminatorTestbench, tmp_path: Path):
+    path = tmp_path / "selftest.jsonl"
+    Illuminator(SerialTransport(bench), timeout_s=WAIT_S).disarm()
+    line = RecordingTransport(SerialTransport(bench), path)
+    recorded = run_selftest(Illuminator(line, timeout_s=WAIT_S), words=5, leds=False)
+    line.close()
+    again = Illuminator(ReplayTransport(path))
+    assert run_selftest(again, words=5, leds=False) == recorded
+    with pytest.raises(DeviceError, match="no message that was sent was recorded"):
+        again.state()
+    with pytest.raises(DeviceError, match="is sent, but"):
+        run_selftest(Illuminator(ReplayTransport(path)), words=6, leds=True)
+    path.write_text("{")
+    with pytest.raises(DeviceError, match="recorded transactions"):
+        ReplayTransport(path)

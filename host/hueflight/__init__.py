@@ -32,6 +32,8 @@ if TYPE_CHECKING:  # for type checkers and editors; `_HOME` says the same at run
     )
     from hueflight.reconstruction.quality import Quality
     from hueflight.reconstruction.separation import flag_mixed
+    from hueflight.reconstruction.sums.design import design_sums
+    from hueflight.reconstruction.sums.method import reconstruct_sums
     from hueflight.reconstruction.uncertainty import reflectance_interval
     from hueflight.recording import open_recording
 
@@ -53,6 +55,7 @@ _HOME = {
     "connect_async": "hueflight.client.async_client",
     "correct_drift": "hueflight.reconstruction.departures",
     "depth_bound": "hueflight.reconstruction.bounds",
+    "design_sums": "hueflight.reconstruction.sums.design",
     "flag_mixed": "hueflight.reconstruction.separation",
     "open_recording": "hueflight.recording",
     "read_capture": "hueflight.importers.captures",
@@ -64,6 +67,7 @@ _HOME = {
     "reconstruct_interleaved": "hueflight.reconstruction.interleaved",
     "reconstruct_many": "hueflight.batch",
     "reconstruct_packets": "hueflight.reconstruction.entry_point",
+    "reconstruct_sums": "hueflight.reconstruction.sums.method",
     "reflectance_bound": "hueflight.reconstruction.bounds",
     "reflectance_interval": "hueflight.reconstruction.uncertainty",
     "write_counts": "hueflight.importers.captures",
@@ -102,6 +106,7 @@ __all__ = [
     "connect_async",
     "correct_drift",
     "depth_bound",
+    "design_sums",
     "flag_mixed",
     "open_recording",
     "read_capture",
@@ -113,6 +118,7 @@ __all__ = [
     "reconstruct_interleaved",
     "reconstruct_many",
     "reconstruct_packets",
+    "reconstruct_sums",
     "reflectance_bound",
     "reflectance_interval",
     "write_counts",

@@ -8,6 +8,7 @@ Where Python has a class of its own for a failure, ours derives from that as wel
 from hueflight_protocol.errors import HueflightError
 
 __all__ = [
+    "ArgumentError",
     "BatchError",
     "CalibrationError",
     "CalibrationNotFoundError",
@@ -26,11 +27,16 @@ __all__ = [
     "OutputError",
     "OutputExistsError",
     "OverflowPolicyError",
+    "OverlappingBandsError",
     "RecordingError",
     "RecordingNotFoundError",
     "SceneError",
     "SlowKernelsWarning",
 ]
+
+
+class ArgumentError(HueflightError, TypeError, ValueError):
+    """An argument of another type than a function takes, or not a value of that type."""
 
 
 class InstrumentError(HueflightError, ValueError):
@@ -54,7 +60,7 @@ class SlowKernelsWarning(UserWarning):
 
 
 class MemoryLimitError(HueflightError, MemoryError):
-    """Work that would take more memory than it may have; nothing was begun."""
+    """Work that takes more memory than it may have, or than there is; nothing of it is left."""
 
 
 class IngestError(HueflightError):
@@ -67,6 +73,10 @@ class OverflowPolicyError(HistogramError, OverflowError):
 
 class CalibrationError(HueflightError, ValueError):
     """Captures that can't make a calibration, or a calibration used where it does not fit."""
+
+
+class OverlappingBandsError(CalibrationError):
+    """The pulses of the bands overlap so much that one capture can't tell them apart."""
 
 
 class CalibrationNotFoundError(CalibrationError, FileNotFoundError):

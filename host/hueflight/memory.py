@@ -8,11 +8,14 @@ until the operating system ends the process.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 from hueflight.errors import HueflightError, MemoryLimitError
 
-__all__ = ["LIMIT_NAME", "limit_bytes", "require_memory", "sizes"]
+__all__ = ["LIMIT_NAME", "limit_bytes", "require_memory", "sizes", "within_memory"]
 
 SHARE = 0.75  #: of the memory that this process may have, which one piece of work may take
 LIMIT_NAME = "HUEFLIGHT_MEMORY"  #: environment variable with a limit of the user, such as "4 GB"
@@ -66,6 +69,37 @@ def require_memory(needed: float, purpose: str, *, advice: str) -> None:
         )
 
 
+@contextmanager
+def within_memory(purpose: str, *, advice: str) -> Iterator[None]:
+    """Say in one sentence that work was given up because memory was exhausted.
+
+    As a block, or as the decorator of a function.
+
+    Parameters
+    ----------
+    purpose : str
+        What the memory was for, in the words of an error: "the reconstruction".
+    advice : str
+        What to do, or what is left of the work; a sentence without its full stop.
+
+    Yields
+    ------
+    None
+        Nothing.
+
+    Raises
+    ------
+    MemoryLimitError
+        If the block raises `MemoryError`.
+    """
+    try:
+        yield
+    except MemoryLimitError:
+        raise
+    except MemoryError as error:
+        raise MemoryLimitError(f"memory is exhausted: {purpose} was given up. {advice}") from error
+
+
 def sizes(count: float) -> str:
     """Write an amount of memory for people.
 
@@ -105,7 +139,9 @@ def _physical() -> int | None:
         return None
 
 
+@cache
 def _of_container() -> int | None:
+    """Limit of the container, looked up once: opening files takes time in every picture."""
     for name in CGROUP_LIMITS:
         try:
             text = Path(name).read_text().strip()

@@ -40,6 +40,17 @@ SIGNATURES = (
     (b"%PDF", "a PDF document"),
     (b"\x1f\x8b", "a compressed file (gzip)"),
 )
+#: what a file should be by its extension; the first is what it is called in a message
+EXPECTED = {
+    ".npy": (NPY,),
+    ".npz": (NPZ,),
+    ".zarr": (ZARR, IMAGE, CALIBRATION),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf", ".nc", ".nc4"), (HDF5,)),
+    ".mat": (MATLAB, HDF5),  # version 7.3 is HDF5, which other programs write without its header
+    ".ptu": (PTU,),
+    ".sdt": (SDT,),
+    **dict.fromkeys((".csv", ".json", ".jsonl", ".toml"), (TEXT,)),
+}
 BEGIN_BYTES = 4096
 
 
@@ -81,15 +92,29 @@ def what_is(path: Path, /) -> str:
     return TEXT
 
 
-def why_unreadable(path: Path, meant: str, error: Exception, /) -> str:
+def reason_of(error: Exception) -> str:
+    """Return the first line of an error, or its type where it says nothing.
+
+    Parameters
+    ----------
+    error : Exception
+        Error of a library.
+
+    Returns
+    -------
+    str
+        One line.
+    """
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def why_unreadable(path: Path, error: Exception, /) -> str:
     """Say why a library could not read a file: it is something else, or it is damaged.
 
     Parameters
     ----------
     path : pathlib.Path
-        Path of the file.
-    meant : str
-        What the file should be, such as `NPY`.
+        Path of the file, whose extension says what it should be.
     error : Exception
         What the library raised.
 
@@ -99,9 +124,11 @@ def why_unreadable(path: Path, meant: str, error: Exception, /) -> str:
         One sentence.
     """
     seems = what_is(path)
-    if seems not in (meant, UNKNOWN):
-        return f"{str(path)!r} is {seems}, not {meant}: give another file, or rename this one"
-    reason = str(error).splitlines()[0].rstrip(".") if str(error) else type(error).__name__
+    expected = EXPECTED.get(path.suffix.lower(), (seems,))
+    if seems not in (*expected, UNKNOWN):
+        return f"{str(path)!r} is {seems}, not {expected[0]}: give another file, or rename this one"
+    meant = seems if seems in expected else expected[0]
+    reason = reason_of(error).rstrip(".")
     return f"{str(path)!r} can't be read as {meant}: it is damaged or was cut short ({reason})"
 
 

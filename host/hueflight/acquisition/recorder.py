@@ -26,12 +26,13 @@ from hueflight.recording import RecordingWriter
 from hueflight.recording.writer import CHUNK_BYTES
 
 QUEUE_BYTES = 128 << 20
-BATCH_BYTES = (
-    4 << 20
-)  #: written in one go at most: each call waits for the interpreter's lock again
+#: written in one go at most: each call waits for the interpreter's lock again
+BATCH_BYTES = 4 << 20
+GATHER_S = 0.02  #: from the first piece of a batch until fewer bytes than that are written, too
 MIN_FREE_BYTES = 256 << 20  #: recording stops before it takes the system's last bytes
 INDEX_BYTES = 1 << 20  #: kept for the index that finishes a segment
 RESUME_BYTES = 16 << 20  #: room beyond the reserve with which a paused recording goes on
+ROOM_S = 0.1  #: from one look at the disk's room to the next, where there is plenty
 RETRY_S = 5.0  #: after a failure, how often to look whether there is room again
 FLUSH_S = 0.5
 
@@ -54,6 +55,8 @@ class Recorder:
         Receives the name and the details of what happens, in the thread of the recorder.
     write_delays : DelayHistogram, optional
         Counts the times from a piece's arrival until it is written.
+    reduced : bool
+        True if the camera sends sums instead of codes: frames are those behind whole pictures.
 
     Attributes
     ----------
@@ -80,17 +83,19 @@ class Recorder:
         min_free_bytes: int = MIN_FREE_BYTES,
         on_event: Callable[[str, dict[str, Any]], None] | None = None,
         write_delays: DelayHistogram | None = None,
+        reduced: bool = False,
     ) -> None:
         if plan.path is None:
             raise CaptureError("a recorder needs a plan with a path")
         self.path: Path = plan.path
         self.failure = ""
         self.paused = False
+        self._reduced = reduced
         self._min_free = min_free_bytes
         self._on_event = on_event or (lambda _, __: None)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._room = Room(self.path.parent)
+            self._disk = Room(self.path.parent)
             self._check_room(INDEX_BYTES)
             self._writer = RecordingWriter(
                 plan.path, instrument, metadata=plan.metadata, attachments=plan.attachments
@@ -103,11 +108,13 @@ class Recorder:
         self._queue: deque[tuple[bytes, float]] = deque()  # pieces, and when they came
         self._write_delays = write_delays or DelayHistogram()
         self._queue_limit = queue_bytes
+        self._enough_bytes = min(BATCH_BYTES, queue_bytes // 4)  # for a batch
         self._queued = 0
         self._skipped_bytes = self._offered_bytes = 0
         self._changed = threading.Condition()
         self._closing = self._broken = False
         self._retry_at = 0.0
+        self._room, self._room_known_until = 0, 0.0  # that may be taken without another look
         self.thread = SupervisedThread(
             self._run, name="recorder", on_failure=self._break_off, restart=False
         )
@@ -133,14 +140,15 @@ class Recorder:
                     "wait for it"
                 )
                 return
+            if not self._queue:  # otherwise the recorder knows that there are some
+                self._changed.notify()
             self._queue.append((piece, time.monotonic()))
             self._queued += len(piece)
-            self._changed.notify()
 
     @property
     def frames(self) -> int:
         """Number of frames that are safe in a file."""
-        return self._writer.frames
+        return self._writer.picture_frames if self._reduced else self._writer.frames
 
     @property
     def size(self) -> int:
@@ -166,11 +174,12 @@ class Recorder:
             Number of frames.
         """
         if self._closing and not self.thread.alive:
-            return max(0, delivered - self._writer.frames)
+            return max(0, delivered - self.frames)
         if not self._offered_bytes:
             return 0
         share = self._skipped_bytes / self._offered_bytes
-        return self._writer.lost_frames + round(delivered * share)
+        lost = self._writer.lost_picture_frames if self._reduced else self._writer.lost_frames
+        return lost + round(delivered * share)
 
     def close(self) -> None:
         """Write what waits, finish the files, and wait for the disk."""
@@ -188,6 +197,8 @@ class Recorder:
             with self._changed:
                 if not self._queue and not self._closing:
                     self._changed.wait(FLUSH_S)
+                if 0 < self._queued < self._enough_bytes and not self._closing:
+                    self._changed.wait(GATHER_S)
                 if not self._queue and self._closing:
                     break
                 batch, size = [], 0
@@ -195,7 +206,7 @@ class Recorder:
                     batch.append(self._queue.popleft())
                     size += len(batch[-1][0])
                 self._queued -= size
-            self._put(b"".join(piece for piece, _ in batch))
+            self._put([piece for piece, _ in batch], size)
             if not self.paused:
                 now = time.monotonic()
                 self._write_delays.add(*(now - came_s for _, came_s in batch))
@@ -204,26 +215,32 @@ class Recorder:
         except (RecordingError, OSError) as error:
             self._pause(str(error))
 
-    def _put(self, piece: bytes) -> None:
-        """Write a piece, or have the writer count the frames in it as lost while it is paused."""
+    def _put(self, pieces: list[bytes], size: int) -> None:
+        """Write pieces, or have the writer count the frames in them as lost while it is paused."""
         try:
             if self._writer.error is None:
-                self._suspend_without_room(len(piece))
+                self._suspend_without_room(size)
             elif time.monotonic() >= self._retry_at:
-                self._resume(len(piece))
+                self._resume(size)
         except (RecordingError, OSError) as error:
             self._pause(str(error))
         try:
-            if piece:
-                self._writer.write(piece)
+            if size:
+                self._writer.write(*pieces)
             else:
                 self._writer.flush()
         except (RecordingError, OSError) as error:
             self._pause(str(error))
 
     def _suspend_without_room(self, size: int) -> None:
+        now = time.monotonic()
+        if now < self._room_known_until and size <= self._room:
+            self._room -= size
+            return
         try:
-            self._check_room(size + CHUNK_BYTES + INDEX_BYTES)
+            left = self._check_room(size + CHUNK_BYTES + INDEX_BYTES)
+            # half of it: others may write there meanwhile
+            self._room, self._room_known_until = left // 2, now + ROOM_S
         except (RecordingError, OSError) as error:
             # first of all: nothing that comes from here on may be written
             self._writer.suspend(str(error))
@@ -255,5 +272,5 @@ class Recorder:
         self._on_event("recorder failed", details)
         self._writer.close()
 
-    def _check_room(self, size: int) -> None:
-        self._room.require(size, reserve=self._min_free)
+    def _check_room(self, size: int) -> int:
+        return self._disk.require(size, reserve=self._min_free)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -16,6 +17,8 @@ from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.stale_data_filter import StaleDataFilter
 from hueflight.devices.camera import Camera
 from hueflight.devices.transports.stream import StreamStatistics
+from hueflight.ingest.picture_totals import PictureTotals, holds_sums
+from hueflight.ingest.report import IngestReport
 from hueflight.ingest.stream import Block, HistogramStream
 from hueflight.model.instrument import Instrument
 from hueflight_protocol import Event, EventCode, decode_packet
@@ -39,11 +42,17 @@ class Run:
         The run's number in every packet.
     precision : PrecisionMonitor, optional
         Monitor of the run that this one goes on with; by default a new one, if the plan needs it.
+    reduced : bool
+        True if the camera sends sums instead of codes.
 
     Attributes
     ----------
+    instrument : Instrument
+        The instrument that takes the frames.
     stream : HistogramStream
         Counts the run's packets.
+    pictures : PictureTotals
+        Pictures of sums of the run.
     accounting : FrameAccounting
         Frames delivered and lost.
     started, ended : bool
@@ -66,10 +75,12 @@ class Run:
         *,
         label: int,
         precision: PrecisionMonitor | None = None,
+        reduced: bool = False,
     ) -> None:
-        self.plan, self.label = plan, label
+        self.plan, self.label, self._reduced = plan, label, reduced
+        self.pictures = PictureTotals()
         self._stale_data_filter = StaleDataFilter(label)
-        self._instrument, self._settings = instrument, settings
+        self.instrument, self._settings = instrument, settings
         by_step = plan.kind == "bands"
         self.stream = HistogramStream(
             instrument,
@@ -104,8 +115,9 @@ class Run:
         """
         label = self.label + 1 & Capture.VALUE_MAX
         other = Run(
-            self.plan, self._instrument, self._settings, label=label, precision=self.precision
-        )
+            self.plan, self.instrument, self._settings, label=label, precision=self.precision,
+            reduced=self._reduced,
+        )  # fmt: skip
         other.gaps = self.gaps
         other._kept = self._kept
         other._before = self._before + self.totals
@@ -151,7 +163,10 @@ class Run:
         self._statistics = statistics
         blocks = self.stream.feed(piece)
         for packet in self.stream.take_others():
-            self._read_event(packet)
+            if holds_sums(packet):
+                self.pictures.feed(packet)
+            else:
+                self._read_event(packet)
         for block in blocks:
             self._account(block)
         return blocks
@@ -198,6 +213,15 @@ class Run:
                 self._kept[step] = np.zeros(counts.shape, np.uint32)
             self._kept[step] += counts
 
+    @property
+    def report(self) -> IngestReport:
+        """Totals of the stream; where the camera sends sums, of the frames behind them."""
+        report = self.stream.report
+        if not self._reduced:
+            return report
+        found = self.pictures
+        return replace(report, frames=found.frames, photons=found.photons, dropped=found.missed)
+
     # -- the end ------------------------------------------------------------------------------
 
     def reached_its_end(self, now: float) -> bool:
@@ -219,9 +243,9 @@ class Run:
         if self.precision is not None and self.precision.poll():
             return True
         if plan.photons_per_pixel is not None:
-            pixels = self._instrument.sensor.rows * self._instrument.sensor.cols
+            pixels = self.instrument.sensor.rows * self.instrument.sensor.cols
             return self.photons_in_all / pixels >= plan.photons_per_pixel
-        limit = plan.frame_limit(self._instrument)
+        limit = plan.frame_limit(self.instrument)
         return bool(limit and self._before.exposed and self._before.exposed >= limit)
 
     def frames_left(self) -> int:
@@ -232,7 +256,7 @@ class Run:
         int
             Number of frames, 0 for no limit.
         """
-        limit = self.plan.frame_limit(self._instrument)
+        limit = self.plan.frame_limit(self.instrument)
         return max(1, limit - self._before.exposed) if limit else 0
 
     def silence_s(self, least: float) -> float:
@@ -272,7 +296,7 @@ class Run:
         before = self.accounting.totals.losses.undelivered
         self._exposed = exposed
         self.accounting.reconcile(
-            self.stream.report,
+            self.report,
             exposed=exposed,
             dropped=counted.frames_dropped,
             stalled_s=self._stalled_s,
@@ -288,7 +312,7 @@ class Run:
         RunTotals
             Totals of this part of the run, after its last gap.
         """
-        report = self.stream.report
+        report = self.report
         known = report.frames + report.aborted + report.dropped + report.dropped_before
         exposed = max(self._exposed, known)
         return self.accounting.update(report, exposed, stalled_s=self._stalled_s)
@@ -301,7 +325,7 @@ class Run:
     @property
     def photons(self) -> int:
         """Number of photons detected since the last gap."""
-        return self.stream.report.photons
+        return self.report.photons
 
     @property
     def photons_in_all(self) -> int:
@@ -311,7 +335,7 @@ class Run:
     @property
     def delivered_in_all(self) -> int:
         """Number of frames delivered in the whole run."""
-        return self._before.delivered + self.stream.report.frames
+        return self._before.delivered + self.report.frames
 
     def result(self, failure: str, *, simulated: bool) -> RunResult:
         """Return the run's result, including gaps.

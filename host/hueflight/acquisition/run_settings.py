@@ -65,7 +65,7 @@ class RunSettings:
         RunSettings
             The settings.
         """
-        rate = instrument.sensor.frame_rate_hz or 1000.0
+        rate = instrument.sensor.usual_frame_rate_hz
         if pictures_hz is None:
             few = rate / PICTURES_HZ < LIVE_FRAMES
             pictures_hz = SLOW_PICTURES_HZ if few else PICTURES_HZ

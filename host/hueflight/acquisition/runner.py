@@ -141,7 +141,7 @@ class Acquisition:
         self._session.live = plan
 
     def set_controls(self, controls: CameraControls, settings: RunSettings, /) -> None:
-        """Change frame rate, pixels or codes from the next run on; a live run begins again.
+        """Change what may be changed from the next run on; a live run begins again.
 
         Parameters
         ----------

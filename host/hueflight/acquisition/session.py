@@ -21,6 +21,9 @@ from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.snapshot import LiveBlock, Snapshot
 from hueflight.acquisition.states import State
 from hueflight.devices.camera_controls import CameraControls, CameraTiming
+from hueflight.devices.errors import DeviceError
+from hueflight.devices.illumination import ScheduledIllumination
+from hueflight.devices.pulse_schedule import Capacity
 from hueflight.devices.rig import Connect, Rig
 from hueflight.devices.simulation import Simulation
 from hueflight.devices.transports.stream import StreamStatistics
@@ -60,7 +63,7 @@ class Session:
     connect : callable
         Opens the rig.
     instrument : Instrument
-        The instrument that the rig should be.
+        The instrument that the rig should be, with the schedule that it has by default.
     settings : RunSettings
         Sizes of blocks and queues.
     live : RunPlan or None
@@ -80,7 +83,9 @@ class Session:
         on_block: Callable[[LiveBlock], None] | None,
         on_event: Callable[[str, dict[str, Any]], None],
     ) -> None:
-        self.connect, self.instrument, self.settings = connect, instrument, settings
+        self.connect, self.settings = connect, settings
+        self._stated = instrument
+        self.instrument = instrument  # with the schedule of the present controls
         self.on_block, self.on_event = on_block, on_event
         # set from other threads
         self.live = live
@@ -104,6 +109,7 @@ class Session:
         self.connections = 0
         self.rate_hz: float | None = None
         self.timing: CameraTiming | None = None
+        self.capacity: Capacity | None = None
         self.simulation: Simulation | None = None
         self.failed = False
         self.label = int(time.time()) & Capture.VALUE_MAX
@@ -138,7 +144,8 @@ class Session:
         """
         if run.plan.live and (not self.requests.empty() or self.live != run.plan):
             return True
-        if run.plan.live and self.applied != self.controls:
+        changed = self.applied != self.controls or run.instrument is not self.instrument
+        if run.plan.live and changed:
             return True
         return self.end_requested or run.reached_its_end(now)
 
@@ -184,27 +191,41 @@ class Session:
             run.stream.recycle(block)
             return
         returned = self._returned
-        self.on_block(LiveBlock(block, now, run.plan.kind, run.label, lambda: returned.put(block)))
+        self.on_block(
+            LiveBlock(
+                block, now, run.plan.kind, run.label, run.instrument, lambda: returned.put(block)
+            )
+        )
 
     # -- the camera's settings ----------------------------------------------------------------
 
     def configure(self, rig: Rig) -> None:
-        """Set the camera up as the controls say; between runs only.
+        """Set camera and LEDs up as the controls say; between runs only.
 
         Parameters
         ----------
         rig : Rig
-            Rig whose camera is set up.
+            Rig that is set up.
 
         Raises
         ------
         DeviceError
-            If the camera can't do it, or is gone.
+            If camera or LEDs can't do it, or are gone.
         """
         controls, settings = self.controls, self.settings_wanted
         self.timing, self.simulation = rig.camera.timing, rig.camera.simulation
-        self.rate_hz = rig.camera.configure(self.instrument, controls).rate_hz
+        instrument, lights = controls.scheduled(self._stated), rig.illumination
+        self.capacity = lights.capacity if isinstance(lights, ScheduledIllumination) else None
+        self.rate_hz = rig.camera.configure(self._stated, controls).rate_hz
+        if isinstance(lights, ScheduledIllumination):
+            lights.load_schedule(instrument)
+        elif controls.schedule is not None:
+            raise DeviceError(
+                f"the schedule can't be changed: illumination {lights.name!r} takes none"
+            )
         self.applied, self.settings = controls, settings
+        if instrument != self.instrument:
+            self.instrument = instrument
 
     # -- gaps ---------------------------------------------------------------------------------
 
@@ -313,6 +334,7 @@ class Session:
             connections=self.connections,
             rate_hz=self.rate_hz,
             timing=self.timing,
+            capacity=self.capacity,
         )
 
 

@@ -9,8 +9,11 @@ from dataclasses import dataclass, field
 from hueflight.acquisition.frame_accounting import RunTotals
 from hueflight.acquisition.plan import Gap
 from hueflight.devices.camera_controls import CameraTiming
+from hueflight.devices.pulse_schedule import Capacity
 from hueflight.devices.transports.stream import StreamStatistics
+from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.stream import Block
+from hueflight.model.instrument import Instrument
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class LiveBlock:
         What the run is for.
     run : int
         Label of the run.
+    instrument : Instrument
+        The instrument with the schedule that the LEDs had.
     give_back : callable
         To be called when done, so that the memory can be used again.
     """
@@ -35,7 +40,18 @@ class LiveBlock:
     received_s: float
     kind: str
     run: int
+    instrument: Instrument
     give_back: Callable[[], None]
+
+    @property
+    def step(self) -> int:
+        """The illuminator's step at the end of the block."""
+        return max(self.block.counts)
+
+    @property
+    def histogram(self) -> Counts:
+        """Counts of that step, shape (row, col, code)."""
+        return self.block.counts[self.step]
 
 
 @dataclass(frozen=True)
@@ -87,6 +103,8 @@ class Snapshot:
         Frames per second that the camera was set to, None before the first connection.
     timing : CameraTiming or None
         Limits of the camera's frame rate, None before the first connection.
+    capacity : Capacity or None
+        Limits of the illuminator's schedules, None without one whose schedule can be changed.
     """
 
     state: str = "disconnected"
@@ -112,3 +130,4 @@ class Snapshot:
     connections: int = 0
     rate_hz: float | None = None
     timing: CameraTiming | None = None
+    capacity: Capacity | None = None

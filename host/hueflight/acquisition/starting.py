@@ -108,6 +108,11 @@ def _try_to_begin(
 def _begin(session: Session, rig: Rig, plan: RunPlan, future: Future[RunResult] | None) -> None:
     if session.applied != session.controls:
         session.configure(rig)
+    reduced = session.controls.sends_sums_only
+    if reduced and (plan.keep or plan.precision_stop is not None):
+        raise CaptureError(
+            "this run needs histograms, and the camera is to send sums: have it send codes as well"
+        )
     rig.illumination.prepare(plan.kind, plan.frames)
     if plan.path is not None:
         about = {"capture": plan.kind, "simulated": str(rig.simulated).lower()}
@@ -118,9 +123,12 @@ def _begin(session: Session, rig: Rig, plan: RunPlan, future: Future[RunResult] 
             min_free_bytes=session.settings.min_free_bytes,
             on_event=session.on_event,
             write_delays=session.write_delays,
+            reduced=reduced,
         )
     session.label = session.label + 1 & Capture.VALUE_MAX
-    session.run = Run(plan, session.instrument, session.settings, label=session.label)
+    session.run = Run(
+        plan, session.instrument, session.settings, label=session.label, reduced=reduced
+    )
     session.future = future
     start_camera(rig.camera, session.run, rate_hz=session.settings.rate_hz)
     session.on_event("run started", {"kind": plan.kind, "recording": str(plan.path or "")})

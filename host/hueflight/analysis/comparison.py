@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr
 
 from hueflight.analysis.regions import reliable
+from hueflight.arguments import NUMBER, takes
 from hueflight.errors import HueflightError
 from hueflight.files.image_schema import finite
 from hueflight.reconstruction.range_correction import require_same_range_correction
 
 
+@takes(before=xr.Dataset, after=xr.Dataset, false_discovery_rate=NUMBER)
 def compare(
     before: xr.Dataset, after: xr.Dataset, /, *, false_discovery_rate: float = 0.05
 ) -> xr.Dataset:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -116,6 +117,53 @@ class SpectralLibrary:
             One entry for each patch; see `hueflight.color.color_chart.patch_reflectances`.
         """
         return cls(tuple(PATCHES), WAVELENGTH_NM, patch_reflectances())
+
+    def select(self, names: Sequence[str], /) -> SpectralLibrary:
+        """Return a library of some of the entries.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Names of the entries, in the order wanted.
+
+        Returns
+        -------
+        SpectralLibrary
+            The smaller library.
+
+        Raises
+        ------
+        HueflightError
+            If there is no such entry.
+        """
+        unknown = [name for name in names if name not in self.names]
+        if unknown or not names:
+            raise HueflightError(
+                f"material {(unknown or [''])[0]!r}: the library has {', '.join(self.names)}"
+            )
+        rows = [self.names.index(name) for name in names]
+        return SpectralLibrary(tuple(names), self.wavelengths_nm, self.reflectance[rows])
+
+    @classmethod
+    def named(cls, source: str | Path, /) -> SpectralLibrary:
+        """Return the built-in library ``colorchecker``, or the one in a CSV file.
+
+        Parameters
+        ----------
+        source : str or Path
+            ``"colorchecker"`` or the name of a file, as for `load`.
+
+        Returns
+        -------
+        SpectralLibrary
+            The library.
+
+        Raises
+        ------
+        FileFormatError
+            If the file can't be read.
+        """
+        return cls.colorchecker() if str(source) == "colorchecker" else cls.load(source)
 
     def at(self, wavelengths_nm: NDArray[np.floating]) -> NDArray[np.float64]:
         """Interpolate the spectra linearly at other wavelengths.

@@ -70,8 +70,10 @@ def stack(
         when = np.asarray(time)
         if when.shape != (len(images),):
             raise HueflightError(f"time has shape {when.shape} for {len(images)} images")
-        units = {} if when.dtype.kind == "M" else {"units": "s"}
-        series = series.assign_coords(time=(SERIES_DIM, when, units))
+        about = {"long_name": "time of the capture"}
+        if when.dtype.kind != "M":
+            about["units"] = "s"
+        series = series.assign_coords(time=(SERIES_DIM, when, about))
     return series
 
 

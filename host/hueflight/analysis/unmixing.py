@@ -6,14 +6,15 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from hueflight.analysis.library import SpectralLibrary
+from hueflight.analysis.nonnegative import inverses, nonnegative_solutions
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 
 #: smallest ratio of singular values of the spectra, each scaled to length 1
 DISTINCT = 1e-3
+BLOCK = 2048  #: spectra at a time, whose matrices fit into the processor's cache
 
 
 def unmix(
@@ -55,7 +56,8 @@ def unmix(
 
     Notes
     -----
-    Weighted non-negative least squares (Lawson and Hanson, Solving Least Squares Problems, 1974).
+    Weighted non-negative least squares (Lawson and Hanson, Solving Least Squares Problems, 1974),
+    of all spectra at once by `hueflight.analysis.nonnegative.nonnegative_solutions`.
     """
     bands = len(instrument.bands)
     if spectra.sizes.get("band") != bands or deviations.sizes.get("band") != bands:
@@ -66,8 +68,8 @@ def unmix(
     design = library.in_bands(instrument).transpose("band", "entry").values
     _require_distinct(design, library)
     outer = [dim for dim in spectra.dims if dim != "band"]
-    values = spectra.transpose(*outer, "band").values.reshape(-1, bands).astype(np.float64)
-    stds = deviations.transpose(*outer, "band").values.reshape(-1, bands).astype(np.float64)
+    values = spectra.transpose(*outer, "band").values.reshape(-1, bands)
+    stds = deviations.transpose(*outer, "band").values.reshape(-1, bands)
     found = _solve(values, stds, design)
     shape, entries = tuple(spectra.sizes[dim] for dim in outer), len(library.names)
     cube = (*outer, "entry")
@@ -108,29 +110,50 @@ def _require_distinct(design: NDArray[np.float64], library: SpectralLibrary) -> 
 
 
 def _solve(
-    values: NDArray[np.float64], stds: NDArray[np.float64], design: NDArray[np.float64]
+    values: NDArray[np.floating], stds: NDArray[np.floating], design: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Abundances, deviations (spectrum, entry) and chi-square (spectrum,)."""
-    entries = design.shape[1]
+    """Abundances, deviations (spectrum, entry) and chi-square (spectrum,), block by block."""
     known = np.isfinite(values) & np.isfinite(stds) & (stds > 0)
-    weights = np.where(known, 1 / np.where(known, stds, 1.0), 0.0)
-    scaled = np.where(known, values, 0.0) * weights
-    matrices = weights[:, :, None] * design
-    enough = np.linalg.matrix_rank(matrices) == entries
-    abundance = np.full((len(values), entries), np.nan)
+    enough = np.flatnonzero(_enough(known, design))
+    abundance = np.full((len(values), design.shape[1]), np.nan)
     deviation, chi_square = abundance.copy(), np.full(len(values), np.nan)
-    if not enough.any():
-        return abundance, deviation, chi_square
-    matrices, scaled = matrices[enough], scaled[enough]
-    covariance = np.linalg.inv(np.einsum("pbk,pbl->pkl", matrices, matrices))
-    solved = np.einsum("pkl,pbl,pb->pk", covariance, matrices, scaled, optimize=True)
-    for row in np.flatnonzero((solved < 0).any(axis=1)):  # elsewhere this is the solution already
-        solved[row], _ = nnls(matrices[row], scaled[row])
-    residual = scaled - np.einsum("pbk,pk->pb", matrices, solved)
-    freedom = known[enough].sum(axis=1) - entries
-    abundance[enough] = solved
-    deviation[enough] = np.sqrt(np.einsum("pkk->pk", covariance))
-    chi_square[enough] = np.where(
-        freedom > 0, (residual**2).sum(axis=1) / np.maximum(freedom, 1), np.nan
-    )
+    for start in range(0, len(enough), BLOCK):
+        block = enough[start : start + BLOCK]
+        abundance[block], deviation[block], chi_square[block] = _solve_block(
+            values[block], stds[block], known[block], design
+        )
     return abundance, deviation, chi_square
+
+
+def _solve_block(
+    values: NDArray[np.floating],
+    stds: NDArray[np.floating],
+    known: NDArray[np.bool_],
+    design: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    entries = design.shape[1]
+    weights = np.where(known, 1 / np.where(known, stds, 1).astype(np.float64) ** 2, 0.0).T
+    spectra = np.where(known, values, 0).astype(np.float64).T
+    # normal equations of each spectrum, from the products of each two entries in each band
+    products = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
+    matrices = (products.T @ weights).reshape(entries, entries, -1)
+    sides = design.T @ (weights * spectra)
+    covariance = inverses(matrices)
+    solved = nonnegative_solutions(matrices, sides, (covariance * sides).sum(axis=1))
+    chi_square = (weights * (spectra - design @ solved) ** 2).sum(axis=0)
+    freedom = known.sum(axis=1) - entries
+    per_degree = np.where(freedom > 0, chi_square / np.maximum(freedom, 1), np.nan)
+    own = np.arange(entries)
+    return solved.T, np.sqrt(covariance[own, own]).T, per_degree
+
+
+def _enough(known: NDArray[np.bool_], design: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the known bands of each spectrum tell the entries apart."""
+    packed = np.packbits(known, axis=1)
+    _, first, place = np.unique(packed, axis=0, return_index=True, return_inverse=True)
+    entries = design.shape[1]
+    enough = [
+        known[row].sum() >= entries and np.linalg.matrix_rank(design[known[row]]) == entries
+        for row in first
+    ]
+    return np.array(enough, bool)[place.reshape(-1)]

@@ -1,6 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interface of the compiled joint fit, change detection and correlation."""
 
+from hueflight.backend.fit_results import (
+    INFORMATION_COLUMNS,
+    INFORMATION_SCALE,
+    LUCK_CELLS,
+    PICTURE,
+    PICTURE_RULES,
+    PICTURE_SIZE,
+    RESULT_PLANES,
+    SURFACE_STARTS,
+    VERDICTS,
+    WINDOW,
+)
 from hueflight.backend.interface import (
     COUNTS,
     Buffer,
@@ -16,6 +28,7 @@ BLOCK_BINS = 16  #: bins of a block; a multiple of the lanes of every build
 MOST_NODES = 32  #: delays of the posterior that it has room for
 RATIOS = 3  #: ratios of a band's peak to the background that the search tries
 BACKGROUND_SHARES = 3  #: shares of background that the search tries
+MOST_WEIGHT = 127  #: of a bin of a change reference
 REFERENCE_MULTIPLE = 16  #: bins of a change reference are made up to a multiple of this
 LEAST_SHARE = 1e-3  #: least share of a band's light in its zone that is divided by
 LEAST_AMPLITUDE = 0.002  #: share of all counts from which likelihoods of amplitudes start
@@ -29,6 +42,7 @@ def _level_fields(level: str) -> tuple[Field, ...]:
         Field(f"{level}_phases", "int32", "tabulated delays"),
         Field(f"{level}_first_ns", "float32", "first tabulated delay"),
         Field(f"{level}_phase_ns", "float32", "between tabulated delays"),
+        Field(f"{level}_whole", "float32", "share of the background in all bins"),
     )
 
 
@@ -81,6 +95,13 @@ FIT_RULES = Record(
         Field("least_mean", "float32", "expected counts of a group in the deviance"),
         Field("reach", "int32", "tabulated delays to either side in the second derivative"),
         Field("contrasts", "int32", "over wavelength: 0, 1 or 2"),
+        Field("lag", "int32", "tabulated delays by which some light is earlier or later"),
+        Field("first_broadening", "float32", "of pulses, with delays along the first contrast, ns"),
+        Field("second_broadening", "float32", "and along the second"),
+        Field("lag_allowance", "float32", "subtracted from scores of earlier or later light,"),
+        Field("first_allowance", "float32", "of delays along the first contrast,"),
+        Field("second_allowance", "float32", "along the second,"),
+        Field("deviance_allowance", "float32", "and of the deviance"),
         Field("first_log", "float32", "of expected counts in the table of moments"),
         Field("log_step", "float32", "between its points"),
         Field("points", "int32", "of the table of moments"),
@@ -99,11 +120,14 @@ def _level_buffers(level: str) -> tuple[Buffer, ...]:
     return (
         Buffer(f"{level}_widths", "float32", "(block, bin) share of the background"),
         Buffer(f"{level}_run_places", "int32", "(phase + 1,) first run of each phase"),
-        Buffer(f"{level}_runs", "int32", "(run, 4) band, first bin, bins, place in data"),
+        Buffer(
+            f"{level}_runs", "int32", "(run, 6) band, first bin, bins, place; first lit bin, bins"
+        ),
         Buffer(f"{level}_data", "float32", "(place,) of each run all shares, then all slopes"),
         Buffer(f"{level}_segment_places", "int32", "(phase + 1,) first segment of each phase"),
         Buffer(f"{level}_segments", "int32", "(segment, 4) first bin, bins, bands, first of lit"),
         Buffer(f"{level}_lit", "int32", "(band of a segment, 3) band, places of share and slope"),
+        Buffer(f"{level}_sums", "float32", "(phase, band, 2) of shares and slopes, over bins"),
     )
 
 
@@ -162,19 +186,30 @@ CHANGE_REFERENCE = Function(
         Buffer("amplitudes", "float32", "(pixel, band)"),
         Buffer("background", "float32", "(pixel,)"),
     ),
-    (Buffer("reference", "float32", "(pixel, 2, room)"),),
+    (
+        Buffer("weights", "int8", "(pixel, room)"),
+        Buffer("sums", "float32", "(pixel, 3 + band)"),
+    ),
 )
-CHANGE_SIGNIFICANCE = Function(
-    "change_significance",
-    "how much counts have changed, see hueflight/fit/change_detection.py",
+CHANGES = Function(
+    "changes",
+    "sums of pixels and how much their light has changed, see hueflight/fit/change_detection.py",
     (
         *PIXELS,
         *TABLES,
-        Buffer("delays", "float32", "(pixel,)"),
-        Buffer("scales", "float32", "(pixel,) exposures now per exposure then"),
-        Buffer("reference", "float32", "(pixel of counts, 2, room)"),
+        Buffer("span", "int64", "(3,) first bin of light, one past its last, 1 if in reverse"),
+        Buffer("exposures", "float64", "(pixel of counts,) now, or () for the counts of all bins"),
+        Buffer("earlier", "float64", "(pixel of counts,) at the fit, or () for as many as now"),
+        Buffer("delays", "float32", "(pixel of counts,)"),
+        Buffer("weights", "int8", "(pixel of counts, room)"),
+        Buffer("kept", "float32", "(pixel of counts, 3 + band) sums of the fit"),
     ),
-    (Buffer("significance", "float32", "(pixel,)"),),
+    (
+        Buffer("all", "float64", "(pixel,) counts of all bins"),
+        Buffer("inside", "float64", "(pixel,) counts of the span"),
+        Buffer("full", "uint8", "(pixel,) a counter is at the end of its type"),
+        Buffer("significance", "float32", "(pixel,)"),
+    ),
 )
 SUMS = Function(
     "sums",
@@ -217,7 +252,6 @@ CORRELATIONS = Function(
         Buffer("background", "float64", "(pixel,) counts per code"),
     ),
 )
-
 INTERFACE = Interface(
     "fit",
     (
@@ -227,10 +261,31 @@ INTERFACE = Interface(
         Constant("RATIOS", RATIOS, "ratios of peak to background that the search tries"),
         Constant("BACKGROUND_SHARES", BACKGROUND_SHARES, "shares of background that it tries"),
         Constant("REFERENCE_MULTIPLE", REFERENCE_MULTIPLE, "of bins of a change reference"),
+        Constant("MOST_WEIGHT", MOST_WEIGHT, "of a bin of a change reference"),
+        Constant("LUCK_CELLS", LUCK_CELLS, "of heights above a limit"),
         Constant("LEAST_SHARE", LEAST_SHARE, "of a band's light in its zone"),
         Constant("LEAST_AMPLITUDE", LEAST_AMPLITUDE, "share of all counts"),
         Constant("CENTROID_ROUNDS", CENTROID_ROUNDS, "in which the window follows the centroid"),
+        Constant("RESULT_PLANES", RESULT_PLANES, "numbers of a pixel besides its reflectances"),
+        Constant("INFORMATION_COLUMNS", INFORMATION_COLUMNS, "of the table of information"),
+        Constant("WINDOW", WINDOW, "rows and columns of the window about a pixel"),
     ),
-    (TABLE_SIZES, FIT_RULES, CORRELATION_SIZES),
-    (FIT, CHANGE_REFERENCE, CHANGE_SIGNIFICANCE, SUMS, CORRELATIONS),
+    (
+        TABLE_SIZES,
+        FIT_RULES,
+        CORRELATION_SIZES,
+        INFORMATION_SCALE,
+        PICTURE_RULES,
+        PICTURE_SIZE,
+    ),
+    (
+        FIT,
+        CHANGE_REFERENCE,
+        CHANGES,
+        SUMS,
+        CORRELATIONS,
+        VERDICTS,
+        PICTURE,
+        SURFACE_STARTS,
+    ),
 )

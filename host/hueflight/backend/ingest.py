@@ -5,6 +5,8 @@ from hueflight.backend.interface import Constant, Field, Interface, Record, Scal
 from hueflight_protocol import wire
 
 TILE = 64  #: pixels that are added to a histogram together or not at all
+SCENE_TILE = 4  #: pixels on a side of a tile in which changes of the scene are looked for
+SMOOTHINGS = 4  #: of counts, each with both halves of neighbors: weights 1, 4, 6, 4, 1
 MOST_FRAMES = 65535  #: frames of one call, which the 16-bit counters of a tile can hold
 HITS_SHIFT, KIND_SHIFT = 32, 48  #: in an entry of the table of chunks: offset, hits, kind
 ADD, STORE, SATURATE, SUBTRACT = range(4)  #: what a call of count does with its counts
@@ -40,6 +42,32 @@ COUNT = ScalarFunction(
         *(("data", "O"), ("chunks", "O"), ("stride", "n"), ("chosen", "O"), ("pixels", "i")),
         *(("code_bits", "i"), ("run", "i"), ("out", "O"), ("wide", "p"), ("mode", "i")),
         *(("done", "O"), ("begin", "n"), ("end", "n")),
+    ),
+)
+GROUP_COUNTS = ScalarFunction(
+    "group_counts",
+    "None",
+    (
+        *(("histogram", "O"), ("wide", "p"), ("rows", "n"), ("cols", "n"), ("codes", "n")),
+        *(("group", "n"), ("leave_first", "p"), ("out", "O")),
+    ),
+)
+GATHER = ScalarFunction(
+    "gather",
+    "None",
+    (
+        *(("total", "O"), ("total_wide", "p"), ("histogram", "O"), ("histogram_wide", "p")),
+        *(("anew", "O"), ("rows", "n"), ("cols", "n"), ("codes", "n"), ("out", "O")),
+        ("out_wide", "p"),
+    ),
+)
+SIGNIFICANCE = ScalarFunction(
+    "significance",
+    "None",
+    (
+        *(("newest", "O"), ("earlier", "O"), ("ratio", "O"), ("rows", "n"), ("cols", "n")),
+        *(("groups", "n"), ("size", "n"), ("window", "n"), ("brightness_tolerance", "d")),
+        *(("shift_tolerance", "d"), ("out", "O")),
     ),
 )
 
@@ -81,6 +109,8 @@ INTERFACE = Interface(
     (
         *(Constant(name, value) for name, value in _wire_constants().items()),
         Constant("TILE", TILE, "pixels that are added to a histogram together or not at all"),
+        Constant("SCENE_TILE", SCENE_TILE, "pixels on a side of a tile of the scene"),
+        Constant("SMOOTHINGS", SMOOTHINGS, "of counts, with both halves of neighbors"),
         Constant("MOST_FRAMES", MOST_FRAMES, "that the counters of a tile can hold"),
         Constant(
             "HITS_SHIFT", HITS_SHIFT, "in an entry of the table of chunks: offset, hits, kind"
@@ -92,5 +122,5 @@ INTERFACE = Interface(
         Constant("SUBTRACT", SUBTRACT),
     ),
     (STATE,),
-    (SCAN, COUNT),
+    (SCAN, COUNT, GROUP_COUNTS, GATHER, SIGNIFICANCE),
 )

@@ -11,7 +11,7 @@ from functools import cache
 from importlib import import_module
 from types import MappingProxyType, ModuleType
 
-from hueflight.backend import fit, ingest, pooled
+from hueflight.backend import fit, ingest, pooled, sums
 from hueflight.backend.interface import Interface
 from hueflight.errors import KernelError, SlowKernelsWarning
 
@@ -64,6 +64,12 @@ KERNELS = MappingProxyType(
                 "adaptive neighbourhoods",
                 ("hueflight.reconstruction.pooled._kernels",),
                 pooled.INTERFACE,
+            ),
+            Kernel(
+                "sums",
+                "estimates from sums",
+                ("hueflight.reconstruction.sums._kernels",),
+                sums.INTERFACE,
             ),
         )
     }

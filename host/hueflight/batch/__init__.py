@@ -5,6 +5,7 @@ from hueflight.batch.batch import BatchReport, Executor, reconstruct_many
 from hueflight.batch.cluster import DaskCluster
 from hueflight.batch.job import Job, Outcome
 from hueflight.batch.local import LocalWorkers
+from hueflight.batch.object_store import reconstruct_stored
 from hueflight.batch.one_file import FileResult, reconstruct_file, summarize
 
 __all__ = [
@@ -17,5 +18,6 @@ __all__ = [
     "Outcome",
     "reconstruct_file",
     "reconstruct_many",
+    "reconstruct_stored",
     "summarize",
 ]

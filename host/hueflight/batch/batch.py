@@ -13,9 +13,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
+from hueflight.arguments import PATH, SWITCH, TEXT, WHOLE, Kind, takes
 from hueflight.batch.cluster import DaskCluster
 from hueflight.batch.job import Job, Outcome, capture_of, key_of, sweep
 from hueflight.batch.local import LocalWorkers
+from hueflight.batch.one_file import CALIBRATION_OR_PATH
 from hueflight.calibration import Calibration
 from hueflight.errors import BatchError
 from hueflight.export.description import calibration_origin
@@ -91,6 +93,22 @@ class BatchReport:
         }
 
 
+#: what `captures` may be
+CAPTURES = Kind(
+    "a list of paths",
+    lambda value: isinstance(value, Iterable) and not isinstance(value, str | bytes),
+)
+
+
+@takes(
+    captures=CAPTURES,
+    out=PATH,
+    calibration=CALIBRATION_OR_PATH,
+    workers=WHOLE,
+    scheduler=TEXT,
+    options=Mapping,
+    overwrite=SWITCH,
+)
 def reconstruct_many(
     captures: Iterable[str | Path],
     out: str | Path,

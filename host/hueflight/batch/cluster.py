@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass
 
 from hueflight.batch.job import Job, Outcome, work
@@ -66,9 +67,15 @@ class DaskCluster:
             )
             for future in distributed.as_completed(futures):
                 capture = futures[future]
-                failure = future.exception()
-                if failure is None:
-                    yield future.result()
+                try:
+                    failure = future.exception()
+                    outcome = future.result() if failure is None else None
+                except (OSError, CancelledError):
+                    raise self._gone() from None
+                if future.cancelled():  # all are, when the scheduler has gone
+                    raise self._gone()
+                if outcome is not None:
+                    yield outcome
                 else:  # KilledWorker, or the scheduler lost it
                     yield Outcome(
                         capture=capture,
@@ -76,3 +83,9 @@ class DaskCluster:
                         state="failed",
                         error=f"{type(failure).__name__}: {failure}",
                     )
+
+    def _gone(self) -> BatchError:
+        return BatchError(
+            f"the Dask scheduler at {self.address!r} is gone: start it again and repeat the "
+            "command; results that are complete are kept"
+        )

@@ -13,8 +13,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight.arguments import PATH, SWITCH, Kind, takes
 from hueflight.calibration import Calibration
-from hueflight.errors import HueflightError
+from hueflight.errors import HistogramError, HueflightError
 from hueflight.export.description import describe
 from hueflight.export.formats import FORMATS
 from hueflight.export.stores import write_netcdf, write_zarr
@@ -24,10 +25,14 @@ from hueflight.importers.options import ReadOptions
 from hueflight.progress import Progress, Silent, task
 from hueflight.reconstruction.departures import correct_drift, with_floor
 from hueflight.reconstruction.entry_point import reconstruct
+from hueflight.reconstruction.image import EXPOSURES_KNOWN
 from hueflight.reconstruction.image_check import ImageCheck, check_image
 from hueflight.reconstruction.quality import Quality
+from hueflight.reconstruction.sums.recorded import reconstruct_recorded_sums
+from hueflight.recording import RecordedSums, holds_recorded_sums, open_recording, read_sums
 
 Departures = Literal["ignore", "check", "correct"]
+SUMS_OPTIONS = frozenset({"range_correction", "pileup_correction", "region"})
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,21 @@ class FileResult:
         return summary
 
 
+#: what `calibration` may be
+CALIBRATION_OR_PATH = Kind(
+    "a Calibration or the path of one",
+    lambda value: isinstance(value, Calibration) or PATH.accepts(value),
+)
+
+
+@takes(
+    capture=PATH,
+    out=PATH,
+    calibration=CALIBRATION_OR_PATH,
+    options=Mapping,
+    preview=SWITCH,
+    overwrite=SWITCH,
+)
 def reconstruct_file(
     capture: str | Path,
     out: str | Path,
@@ -148,17 +168,28 @@ def reconstruct_file(
         if not isinstance(calibration, Calibration):
             calibration = Calibration.load(calibration)
         shown.advance()
-        taken = read_capture(capture, calibration.instrument, **asdict(reading or ReadOptions()))
+        sums = _sums_of(capture, calibration)
+        if sums is None:
+            taken = read_capture(
+                capture, calibration.instrument, **asdict(reading or ReadOptions())
+            )
+            losses = taken.losses
+        else:
+            taken, losses = None, sums.losses
         shown.advance()
     with task(shown, "reconstructing", 1):
-        image = reconstruct(taken.counts, calibration, **(options or {}))
         check = None
-        if departures != "ignore":
+        if sums is not None:
+            image = _image_of_sums(sums, calibration, options or {}, departures)
+        else:
+            assert taken is not None
+            image = reconstruct(taken.counts, calibration, **(options or {}))
+        if taken is not None and departures != "ignore":
             image, calibration, check = _checked(
                 image, taken.counts, calibration, options or {}, correct=departures == "correct"
             )
         shown.advance()
-    lost = ", ".join(f"{reason} {count}" for reason, count in taken.losses.items())
+    lost = ", ".join(f"{reason} {count}" for reason, count in losses.items())
     image = describe(
         image,
         calibration,
@@ -169,7 +200,43 @@ def reconstruct_file(
     (write_netcdf if netcdf else write_zarr)(image, out, overwrite=overwrite)
     if picture is not None:
         _write_picture(image, calibration, picture, overwrite=overwrite)
-    return FileResult(image, out, taken.losses, picture, check)
+    return FileResult(image, out, losses, picture, check)
+
+
+def _sums_of(capture: Path, calibration: Calibration) -> RecordedSums | None:
+    """Totals of a recording of sums; None for any other capture."""
+    if capture.suffix.lower() != ".mcap":
+        return None
+    with open_recording(capture) as recording:
+        if recording.frames or not holds_recorded_sums(recording):
+            return None
+        if apart := recording.instrument.differences(calibration.instrument):
+            raise HistogramError(
+                f"{capture} was recorded by instrument {recording.instrument.name!r}, not "
+                f"{calibration.instrument.name!r}: {'; '.join(apart[:3])}"
+            )
+        return read_sums(recording)
+
+
+def _image_of_sums(
+    sums: RecordedSums, calibration: Calibration, options: Mapping[str, Any], departures: Departures
+) -> xr.Dataset:
+    """Image of recorded sums, with those options that sums leave."""
+    method = options.get("method", "sums")
+    if method != "sums" or departures != "ignore":
+        wanted = f"method {method!r}" if method != "sums" else "a check of the picture"
+        raise HueflightError(
+            f"the recording holds sums, not codes: {wanted} needs histograms; use method 'sums', "
+            "or record codes"
+        )
+    useless = set(options) - SUMS_OPTIONS - {"method", "threads"}
+    if useless:
+        raise HueflightError(
+            f"the recording holds sums, not codes: {', '.join(sorted(useless))} can't be given; "
+            f"there are {', '.join(sorted(SUMS_OPTIONS))}"
+        )
+    given = {name: value for name, value in options.items() if name in SUMS_OPTIONS}
+    return reconstruct_recorded_sums(sums, calibration, **given)
 
 
 def _checked(
@@ -215,8 +282,8 @@ def summarize(image: xr.Dataset) -> dict[str, Any]:
     -------
     dict
         Method, number of pixels and of those with depth, percentiles of depth and the median of
-        its standard deviation (m), and the number of pixels with each flag of quality that
-        occurs.
+        its standard deviation (m), the number of pixels with each flag of quality that occurs,
+        and ``exposures`` where their number is not known.
     """
     depth, quality = image["depth"].values, image["quality"].values
     known = np.isfinite(depth)
@@ -232,6 +299,9 @@ def summarize(image: xr.Dataset) -> dict[str, Any]:
     for flag in Quality:
         if count := int(((quality & int(flag)) != 0).sum()):
             summary[f"{(flag.name or '').lower()}_pixels"] = count
+    exposures = image.attrs.get("exposures", EXPOSURES_KNOWN)
+    if exposures != EXPOSURES_KNOWN:
+        summary["exposures"] = exposures
     return summary
 
 

@@ -8,7 +8,8 @@ the delay of each pixel and its defects.
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.check import CalibrationCheck, check_calibration
 from hueflight.calibration.procedure import calibrate, measured_widths
-from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
+from hueflight.calibration.pulse_windows import find_windows
+from hueflight.calibration.windows import PulseWindow, window_sums
 from hueflight.model.waveforms import Templates
 
 __all__ = [

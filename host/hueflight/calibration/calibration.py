@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,18 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.arguments import PATH, SWITCH, takes
 from hueflight.calibration.delays import centroid_half_width_bins
-from hueflight.calibration.pulse_windows import PulseWindow
 from hueflight.calibration.store import (
+    REFERENCE,
+    DeferredReference,
     StoredCalibration,
     describe,
     read_store,
     write_store,
 )
+from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError, InstrumentError
 from hueflight.files.ages import age
 from hueflight.model.emission import Emission
-from hueflight.model.instrument import Instrument
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.model.instrument_text import facts_html
 from hueflight.model.pileup import lost_photons_factor
 from hueflight.model.time_bins import TimeBins
@@ -38,7 +42,7 @@ NOISE_VECTORS = ("brightness_std", "waveform_delay_std_ns")
 FEWEST_EXPOSURES = 1e-30  #: fewer are none
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Calibration:
     """What reconstruction needs to know about an instrument.
 
@@ -54,7 +58,8 @@ class Calibration:
     bins : TimeBins
         Codes in time order, with measured widths where a flat capture was given.
     reference : ndarray of float32, shape (row, col, bin)
-        Counts of the reference in time order.
+        Counts of the reference in time order. Large ones of a loaded calibration are read from disk
+        when they are first used; the joint fit uses their sums at most.
     frames : ndarray of float, shape (row, col), or None
         Exposures behind the reference, None where their number can't be known.
     windows : tuple of PulseWindow
@@ -89,7 +94,8 @@ class Calibration:
     instrument: Instrument
     distance: float
     bins: TimeBins
-    reference: NDArray[np.float32]
+    # one object for all calibrations, as of every descriptor: it keeps the counts in each of them
+    reference: DeferredReference = DeferredReference()  # noqa: RUF009
     frames: NDArray[np.float64] | None
     windows: tuple[PulseWindow, ...]
     pixel_delay_ns: NDArray[np.float64]
@@ -142,10 +148,36 @@ class Calibration:
     def _repr_html_(self) -> str:
         return facts_html(f"Calibration of {self.instrument.name}", self.facts())
 
+    def reference_blocks(self) -> Iterator[NDArray[np.float32]]:
+        """Give the counts of the reference in runs of rows, from disk if they are still there.
+
+        Yields
+        ------
+        ndarray of float32, shape (row, col, bin)
+            The next rows; all of them together are `reference`.
+        """
+        yield from DeferredReference.blocks(self)
+
+    @cached_property
+    def reference_photons(self) -> NDArray[np.float64]:
+        """Photons of each pixel of the reference, shape (row, col)."""
+        rows = [block.sum(axis=-1, dtype=np.float64) for block in self.reference_blocks()]
+        return np.concatenate(rows)
+
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Pixels that are neither dead nor hot, shape (row, col)."""
         return ~(self.dead | self.hot)
+
+    @cached_property
+    def meters_per_ns(self) -> NDArray[np.float64]:
+        """Depth along the optical axis per time of flight, m/ns, shape (row, col)."""
+        return SPEED_OF_LIGHT_M_PER_NS / 2 * self.instrument.ray_cosine()
+
+    @cached_property
+    def instrument_fingerprint(self) -> str:
+        """Digest of the instrument; see `Instrument.fingerprint`."""
+        return self.instrument.fingerprint()
 
     @property
     def bin_width_ns(self) -> float:
@@ -187,16 +219,17 @@ class Calibration:
         ndarray of float, shape (row, col)
             The factor; NaN without exposures.
         """
-        if exposures is None or self.frames is None:
+        if self.frames is None:
             return 1 / self.flat_field
+        if exposures is None:
+            exposures = self.frames
         # weighted counts may come near 0, where the factor is not known
         known = np.where(exposures > FEWEST_EXPOSURES, exposures, np.nan)
         scale = 1 / (self.flat_field * known)
         if pileup_correction:
             return scale * lost_photons_factor(photons, exposures)
         # the calibration is in photons that arrived: take the loss back
-        reference = self.reference.sum(axis=-1, dtype=np.float64)
-        return scale * lost_photons_factor(reference, self.frames)
+        return scale * lost_photons_factor(self.reference_photons, self.frames)
 
     def require(self, instrument: Instrument) -> None:
         """Check that counts of an instrument can be reconstructed with this calibration.
@@ -219,6 +252,7 @@ class Calibration:
                 + ". Calibrate again with this instrument"
             )
 
+    @takes(path=PATH, overwrite=SWITCH)
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a Zarr directory, which appears under its name only when it is complete.
 
@@ -239,6 +273,7 @@ class Calibration:
         write_store(Path(path), _to_stored(self), overwrite=overwrite)
 
     @classmethod
+    @takes(path=PATH)
     def load(cls, path: str | Path) -> Calibration:
         """Read what `save` wrote.
 
@@ -307,7 +342,7 @@ def _to_stored(calibration: Calibration) -> StoredCalibration:
 
 def _from_stored(stored: StoredCalibration) -> Calibration:
     attributes: Mapping[str, Any] = stored.attributes
-    arrays: Mapping[str, NDArray[Any]] = stored.arrays
+    arrays: Mapping[str, Any] = stored.arrays
     instrument = Instrument.from_json(attributes["instrument"], where="its instrument")
     if instrument.fingerprint() != attributes["instrument_fingerprint"]:
         raise CalibrationError(
@@ -319,7 +354,7 @@ def _from_stored(stored: StoredCalibration) -> Calibration:
     )
     rows, cols, _ = instrument.histogram_shape
     expected = {
-        "reference": (rows, cols, bins.count),
+        REFERENCE: (rows, cols, bins.count),
         "bin_edges_ns": (bins.count + 1,),
         **dict.fromkeys(BAND_VECTORS, (len(instrument.bands),)),
         **dict.fromkeys(PIXEL_PLANES, (rows, cols)),

@@ -18,7 +18,8 @@ from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead
 from hueflight.calibration.delays import align
 from hueflight.calibration.noise import correction_noise
-from hueflight.calibration.waveform_estimation import PooledCounts
+from hueflight.calibration.pooled_changes import pooled_changes
+from hueflight.calibration.suspects import FOUND, Suspect, normal_score
 from hueflight.errors import CalibrationError
 from hueflight.fit.reference import FitOptions
 from hueflight.fit.solver import fit_pixels
@@ -26,22 +27,14 @@ from hueflight.fit.tables import ScheduleView, make_tables
 from hueflight.model.histograms import check_histogram, frames_per_pixel
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, lost_photons_factor, photons_per_period
-from hueflight.model.waveform_changes import changed
-from hueflight.model.waveforms import Templates
 
-SIGNIFICANT = 4.0  #: standard deviations from which a change is no chance
+SIGNIFICANT = FOUND  #: standard deviations from which a change is no chance
 DELAY_LIMIT_NS = 0.05  #: change of a delay that is harmless: 7.5 mm where one band dominates
 WIDTH_LIMIT = 0.02  #: relative change of a pulse's width that is harmless
 WIDTH_KNOWN = 0.0075  #: deviation of a width in a calibration, from separating and smoothing pulses
 BRIGHTNESS_LIMIT = 0.05  #: relative change of a band's brightness that is harmless
 PIXEL_SHARE = 1e-3  #: share of the pixels that may differ significantly
 OTHER_TARGET = 0.2  #: share of the pixels that differ if the target is not flat, or another one
-ROUNDS = 6  #: linear steps of the fit of all pixels together
-WAVEFORM_FLOOR = 0.02  #: of its peak, below which a waveform does not count for its width
-LARGEST_STEP_NS = 1.0  #: of a delay in one step
-LARGEST_WIDENING = (-0.3, 0.5)  #: relative change of a waveform's variance in one step
-LEAST_EXPECTED = 0.02  #: counts of a bin, of the mean, below which its variance is not taken
-CURVE_STEP_NS = 0.05  #: to either side, for the second derivative
 
 _Floats = NDArray[np.float64]
 
@@ -93,6 +86,20 @@ class CalibrationCheck:
         """Whether the calibration still holds."""
         return not self.findings
 
+    @property
+    def suspects(self) -> tuple[Suspect, ...]:
+        """The bands' changes in the terms of `check_image`, delays beside their plain mean."""
+        common = (self.common_delay_ns,), (self.common_delay_std_ns,)
+        return (
+            _suspect("common delay", "ps", ("",), *common, factor=1e3),
+            _suspect(
+                "delay", "ps", self.bands, self.delay_ns - self.delay_ns.mean(),
+                self.delay_std_ns, factor=1e3,
+            ),
+            _suspect("width", "1", self.bands, self.width - 1, self.width_std),
+            _suspect("brightness", "1", self.bands, self.brightness - 1, self.brightness_std),
+        )  # fmt: skip
+
     def as_dict(self) -> dict[str, Any]:
         """Return the result as plain values, ready for JSON.
 
@@ -114,6 +121,21 @@ class CalibrationCheck:
             "new_dead_pixels": int(self.new_dead.sum()),
             "new_hot_pixels": int(self.new_hot.sum()),
         }
+
+
+def _suspect(
+    name: str,
+    unit: str,
+    labels: tuple[str, ...],
+    sizes: ArrayLike,
+    deviations: ArrayLike,
+    *,
+    factor: float = 1.0,
+) -> Suspect:
+    """Sizes with deviations that are independent of each other."""
+    values, spread = factor * np.asarray(sizes, np.float64), factor * np.asarray(deviations)
+    score = normal_score(float(((values / spread) ** 2).sum()), values.size)
+    return Suspect(name, unit, labels, tuple(values.tolist()), tuple(spread.tolist()), score)
 
 
 def check_calibration(
@@ -181,6 +203,12 @@ def check_calibration(
         factor = lost_photons_factor(photons, exposures)[..., None]
         arrived = (coates_correction(light, per_period) * factor).astype(np.float32)
         usable &= np.isfinite(factor[..., 0])
+        if not usable.any():
+            raise CalibrationError(
+                f"frames = {float(np.median(exposures)):g}: every exposure of the capture holds a "
+                "photon, so that the number of those that were lost can't be known. State the "
+                "number of exposures behind the capture, or dim the LEDs"
+            )
     away = calibration.distance if distance is None else distance
     due_ns = 2 * (away - calibration.distance) / SPEED_OF_LIGHT_M_PER_NS
 
@@ -189,7 +217,7 @@ def check_calibration(
     middle_ns = float(np.median(moved_ns[usable]))
     pixel_z = np.where(usable, (moved_ns - middle_ns) / np.sqrt(variance), np.nan)
     brightness_z = _pixel_brightness(photons, exposures, usable, calibration, total_noise)
-    bands = _pooled_fit(arrived, usable, calibration, due_ns + middle_ns)
+    bands = pooled_changes(arrived, usable, calibration, due_ns + middle_ns)
     spread = float(noise[usable].mean())
     delay, brightness, width = (_Estimate(value, std * np.sqrt(spread)) for value, std in bands)
 
@@ -285,79 +313,14 @@ def _pixel_brightness(
     """Change of each pixel's brightness against that of all, in standard deviations."""
     rate = photons if exposures is None else photons * lost_photons_factor(photons, exposures)
     rate = rate if exposures is None else rate / exposures
-    before = calibration.reference.sum(axis=-1, dtype=np.float64)
     relative = rate / calibration.flat_field
     middle = np.median(relative[usable])
     variance = noise / np.maximum(photons, 1.0)
     if calibration.flat_field_std is not None:
         variance = variance + (calibration.flat_field_std / calibration.flat_field) ** 2
     else:
-        variance = variance + 1 / np.maximum(before, 1.0)
+        variance = variance + 1 / np.maximum(calibration.reference_photons, 1.0)
     return np.where(usable, (relative / middle - 1) / np.sqrt(variance), np.nan)
-
-
-def _pooled_fit(
-    light: NDArray[np.float32],
-    usable: NDArray[np.bool_],
-    calibration: Calibration,
-    start_ns: float,
-) -> list[tuple[_Floats, _Floats]]:
-    """Delay beside a start, photons and relative width of each band, with deviations."""
-    bins, templates = calibration.bins, calibration.templates
-    pool = PooledCounts.of(
-        light, calibration.pixel_delay_ns, usable, bins, knot_ns=templates.knot_ns
-    )
-    share = pool.counts.sum(axis=-1) / pool.counts.sum()
-    flat = bins.widths_ns / bins.span_ns
-    size = templates.bands
-    counts = pool.counts.ravel()
-    delay, photons, width = np.zeros(size), np.maximum(calibration.brightness, 0), np.ones(size)
-    variance = np.full(counts.size, max(counts.mean(), 1e-300))
-    inverse, now = np.eye(3 * size + 1), templates
-    for _ in range(ROUNDS):
-        rows = []
-        for group, offset_ns in enumerate(pool.offsets_ns):
-            place_ns = offset_ns + start_ns
-            ahead, behind = place_ns - CURVE_STEP_NS, place_ns + CURVE_STEP_NS
-            rise = now.slopes(bins.edges_ns, behind) - now.slopes(bins.edges_ns, ahead)
-            parts = [
-                now.shares(bins.edges_ns, place_ns),
-                now.slopes(bins.edges_ns, place_ns),
-                rise / (2 * CURVE_STEP_NS),
-                flat[None],
-            ]
-            rows.append(share[group] * np.concatenate(parts))
-        model = np.concatenate(rows, axis=-1)
-        normal = (model / variance) @ model.T
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        inverse = np.linalg.pinv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-        solution = inverse @ ((model / variance) @ counts)
-        photons = np.maximum(solution[:size], 1e-300)
-        delay = delay + np.clip(
-            solution[size : 2 * size] / photons, -LARGEST_STEP_NS, LARGEST_STEP_NS
-        )
-        own = _variances(now)
-        wider = np.clip(2 * solution[2 * size : 3 * size] / photons / own, *LARGEST_WIDENING)
-        width = width * np.sqrt(1 + wider)
-        now = changed(templates, delay_ns=delay, width_factor=width)
-        expected = solution @ model
-        variance = np.maximum(expected, LEAST_EXPECTED * expected.mean())
-    std = np.sqrt(np.diag(inverse))
-    width_std = std[2 * size : 3 * size] / photons / _variances(now) * width
-    return [(delay, std[size : 2 * size] / photons), (photons, std[:size]), (width, width_std)]
-
-
-def _variances(templates: Templates) -> _Floats:
-    """Variance of each waveform over time, ns²."""
-    time_ns = np.arange(0.0, templates.circle_ns, templates.knot_ns / 4)
-    variances = np.empty(templates.bands)
-    for band, density in enumerate(templates.density(time_ns)):
-        weight = np.where(density > WAVEFORM_FLOOR * density.max(), density, 0.0)
-        around = time_ns - time_ns[np.argmax(density)]
-        around -= templates.circle_ns * np.rint(around / templates.circle_ns)
-        mean = weight @ around / weight.sum()
-        variances[band] = weight @ (around - mean) ** 2 / weight.sum()
-    return variances
 
 
 def _beyond(z: _Floats) -> int:

@@ -159,7 +159,8 @@ def refined_delays(
 def _shift_bins(light: NDArray[np.float32], shift: NDArray[np.intp]) -> NDArray[np.float32]:
     """Each pixel's bins moved later by its own whole number, around the circle."""
     shifted = np.empty_like(light)
-    for amount in np.unique(shift):
-        chosen = shift == amount
-        shifted[chosen] = np.roll(light[chosen], int(amount), axis=-1)
+    for row, amounts in enumerate(shift):  # at once, three more captures would be in memory
+        for amount in np.unique(amounts):
+            chosen = amounts == amount
+            shifted[row, chosen] = np.roll(light[row, chosen], int(amount), axis=-1)
     return shifted

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration.defects import find_dead
 from hueflight.calibration.delays import align
-from hueflight.calibration.pulse_windows import PulseWindow, expected_train, find_windows
+from hueflight.calibration.pulse_windows import expected_train, find_windows
+from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError, HistogramError
 from hueflight.model.histograms import check_histogram
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
@@ -155,8 +156,9 @@ def check_description(
     above = np.maximum(pooled - floor, 0)
     solved = np.linalg.lstsq(expected.T, above, rcond=None)[0]
     latency_ns = instrument.timing.latency_ns + late_ns
-    if bins.period_ns is not None:
-        latency_ns %= bins.period_ns
+    if bins.period_ns is not None:  # from -half a bin on, so that 0 is not found as a whole period
+        half_ns = bins.span_ns / bins.count / 2
+        latency_ns = (latency_ns + half_ns) % bins.period_ns - half_ns
     return DescriptionCheck(
         pulses, tuple(problems), direction, latency_ns, time_ns, pooled,
         expected * np.maximum(solved, 0)[:, None] + floor / len(expected),

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hueflight.arguments import COUNTS, NUMBER, NUMBERS, takes
 from hueflight.calibration.calibration import Calibration
 from hueflight.calibration.defects import find_dead, find_hot_in_dark
 from hueflight.calibration.delays import align, refined_delays
 from hueflight.calibration.empirical_bayes import shrink_to_line_means
 from hueflight.calibration.noise import correction_noise, waveform_noise
-from hueflight.calibration.pulse_windows import PulseWindow, find_windows, window_sums
+from hueflight.calibration.pulse_train_fit import OVERLAPPING_SHARE, overlap_widely
+from hueflight.calibration.pulse_windows import find_windows
 from hueflight.calibration.waveform_estimation import (
     TrainModel,
     brightness_of,
@@ -23,8 +25,9 @@ from hueflight.calibration.waveform_estimation import (
     templates_from_bands,
     templates_from_train,
 )
-from hueflight.errors import CalibrationError
-from hueflight.memory import require_memory
+from hueflight.calibration.windows import PulseWindow, window_sums
+from hueflight.errors import CalibrationError, OverlappingBandsError
+from hueflight.memory import require_memory, within_memory
 from hueflight.model.emission import Emission
 from hueflight.model.histograms import check_histogram, frames_per_pixel
 from hueflight.model.instrument import Instrument
@@ -33,11 +36,25 @@ from hueflight.model.time_bins import TimeBins
 from hueflight.model.undersampling import smooth_undersampled
 from hueflight.model.waveforms import Templates
 
+LEAST_LIGHT = 3.0  #: standard deviations by which the light of a band must be above 0
 HOT_IN_FLAT = 2.0  #: times the median count under steady light that only a hot pixel reaches
 
-CAPTURES_AT_ONCE = 3.5  #: copies of the reference as float32 in memory, measured
+CAPTURES_AT_ONCE = 2.5  #: copies of the reference as float32 in memory, measured
+FEWER_COUNTS = "Describe and calibrate a part of the sensor, or sum neighboring codes to wider bins"
 
 
+@within_memory("the calibration", advice=FEWER_COUNTS)
+@takes(
+    reference=COUNTS,
+    instrument=Instrument,
+    distance=NUMBER,
+    bands=COUNTS,
+    reflectance=NUMBERS,
+    dark=COUNTS,
+    flat=COUNTS,
+    frames=NUMBERS,
+    emission=Emission,
+)
 def calibrate(
     reference: ArrayLike,
     instrument: Instrument,
@@ -101,6 +118,9 @@ def calibrate(
     CalibrationError
         If a capture does not show the pulses that it should, if every pixel is dead, hot or
         saturated, or if a number makes no sense; the message says what to check.
+    OverlappingBandsError
+        If pulses overlap widely and a band shows no light of its own, or its brightness is not
+        known to 20 %.
     MemoryLimitError
         If the work would take more memory than `hueflight.memory.limit_bytes`.
 
@@ -160,7 +180,15 @@ def calibrate(
     circular = bins.period_ns is not None
     shape_noise, total_noise = correction_noise(photons, exposures, instrument)
     gain, flat_field, flat_field_std = _gains(
-        arrived, windows, delay, usable, exposures, known, total_noise, circular=circular
+        arrived,
+        windows,
+        delay,
+        usable,
+        exposures,
+        known,
+        total_noise,
+        instrument,
+        circular=circular,
     )
     arrived = smooth_undersampled(arrived, instrument, bins)
     captures = None
@@ -192,6 +220,7 @@ def calibrate(
     )
     brightness_std *= np.sqrt(total_noise[usable].mean()) / pixels
     waveform_std_ns *= np.sqrt(shape_noise[usable].mean())
+    _require_light(brightness, brightness_std, instrument)
     if captures is not None:
         waveform_std_ns = _noise_of_captures(captures, delay_ns, usable, templates, bins)
     if exposures is not None:
@@ -230,14 +259,25 @@ def calibrate(
     )
 
 
+def _require_light(
+    brightness: NDArray[np.float64], deviation: NDArray[np.float64], instrument: Instrument
+) -> None:
+    """Refuse bands whose light does not stand out of what the others and the background leave."""
+    for band, photons, noise in zip(instrument.bands, brightness, deviation, strict=True):
+        if not photons > LEAST_LIGHT * noise:
+            raise CalibrationError(
+                f"the reference shows no light of band {band.name!r}: {photons:.3g} ± {noise:.2g} "
+                "photons per pixel are left for it. Check that LED, or capture more frames"
+            )
+
+
 def _require_memory(instrument: Instrument, bins: TimeBins, *, separate: bool) -> None:
     rows, cols, _ = instrument.histogram_shape
     captures = CAPTURES_AT_ONCE + (2 * len(instrument.bands) if separate else 0)
     require_memory(
         4 * rows * cols * bins.count * captures,
         f"the calibration of {rows} × {cols} pixels with {bins.count} bins",
-        advice="Describe and calibrate a part of the sensor, or sum neighboring codes to wider "
-        "bins",
+        advice=FEWER_COUNTS,
     )
 
 
@@ -299,10 +339,11 @@ def _arrived(
     if frames is None:
         return light
     hits = light.sum(axis=-1, dtype=np.float64)
-    whole = coates_correction(light, photons_per_period(hits, frames, instrument))
-    arrived = np.empty(light.shape, np.float32)
+    arrived = coates_correction(light, photons_per_period(hits, frames, instrument))
+    if arrived is light:
+        arrived = light.copy()
     for row, factor in enumerate(lost_photons_factor(hits, frames)):
-        arrived[row] = whole[row] * factor[:, None]
+        arrived[row] *= factor[:, None]
     return arrived
 
 
@@ -373,6 +414,7 @@ def _gains(
     frames: NDArray[np.float64] | None,
     reflectance: NDArray[np.float64],
     noise: NDArray[np.float64],
+    instrument: Instrument,
     *,
     circular: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -404,6 +446,13 @@ def _gains(
     mean = np.array([(band[known] / flat_field[known]).mean() for band in per_frame])
     if (mean <= 0).any():
         dark_bands = np.flatnonzero(mean <= 0).tolist()
+        if overlap_widely(instrument):
+            raise OverlappingBandsError(
+                f"the reference shows no light of its own in band(s) {dark_bands}: the pulses of "
+                f"{len(instrument.bands)} bands fill more than {OVERLAPPING_SHARE:.0%} of the "
+                "recorded time, so that bands may not be told apart. Shorten the pulses, lengthen "
+                "the period, or check those LEDs"
+            )
         raise CalibrationError(
             f"the reference shows no light in band(s) {dark_bands}: check those LEDs"
         )

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.calibration.pulse_windows import PulseWindow
-from hueflight.errors import CalibrationError
+from hueflight.calibration.windows import PulseWindow
+from hueflight.errors import CalibrationError, OverlappingBandsError
 from hueflight.model.instrument import Instrument
 from hueflight.model.pulses import Pulse
 from hueflight.model.time_bins import TimeBins
@@ -18,6 +18,8 @@ from hueflight.model.time_bins import TimeBins
 STEP = 1e-5  #: of the numerical derivative, in the fit's own units
 MOST_STEPS = 15
 SETTLED = 1e-4  #: share of the squares that a step must take off to be followed by another
+OVERLAPPING_SHARE = 0.5  #: of the recorded time in pulses, above which bands overlap widely
+LARGEST_DEVIATION = 0.2  #: share of a band's light to which it must then be known
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ def fit_pulse_train(
     ------
     CalibrationError
         If counts are unknown, because pixels recorded a photon in each of their exposures.
+    OverlappingBandsError
+        If pulses overlap so widely that the light of a band is not known to 20 %.
     """
     if not np.isfinite(counts).all():
         raise CalibrationError(
@@ -106,7 +110,58 @@ def fit_pulse_train(
     found = _least_squares(model, reach)
     pulses = [start.pulse(i, change) for i, change in enumerate(found[:-1].reshape(size, 4))]
     bands = [window.band for window in windows]
+    if overlap_widely(instrument):
+        _require_known(*model(found), np.array([pulse.area for pulse in pulses]), bands, instrument)
     return list(zip(bands, pulses, strict=True)), start.dark * float(np.exp(found[-1]))
+
+
+def overlap_widely(instrument: Instrument) -> bool:
+    """Say whether the pulses of the bands fill more than half of the recorded time.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument whose pulses and period are compared.
+
+    Returns
+    -------
+    bool
+        True where they do.
+    """
+    together_ns = sum(len(b.delays_ns) * b.pulse_fwhm_ns for b in instrument.bands)
+    return together_ns > OVERLAPPING_SHARE * instrument.time_bins().span_ns
+
+
+def _require_known(
+    residual: NDArray[np.float64],
+    slopes: NDArray[np.float64],
+    area: NDArray[np.float64],
+    bands: list[int],
+    instrument: Instrument,
+) -> None:
+    """Refuse a fit that leaves the light of a band unknown.
+
+    Where the model does not explain the counts, deviations are as much wider as the residual is
+    (Birge, Phys. Rev. 40, 207, 1932).
+    """
+    misfit = max(1.0, float(residual @ residual) / max(1, residual.size - slopes.shape[1]))
+    length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    unit = slopes / length
+    # of parameters that the counts leave free, the deviation becomes large, not infinite
+    covariance = np.linalg.inv(unit.T @ unit + 1e-12 * np.eye(length.size)) * misfit
+    covariance /= np.outer(length, length)
+    of_areas = covariance[3:-1:4, 3:-1:4] * np.outer(area, area)
+    owner = np.array(bands)
+    for index, band in enumerate(instrument.bands):
+        mine = owner == index
+        deviation = float(np.sqrt(of_areas[np.ix_(mine, mine)].sum()) / area[mine].sum())
+        if deviation > LARGEST_DEVIATION:
+            raise OverlappingBandsError(
+                f"the reference does not tell the light of band {band.name!r} from that of its "
+                f"neighbors: its brightness is known to {deviation:.0%} only, and "
+                f"{LARGEST_DEVIATION:.0%} are required. Pulses overlap widely: shorten them, "
+                "lengthen the period, capture more frames, or give one capture per LED (bands)"
+            )
 
 
 def _least_squares(

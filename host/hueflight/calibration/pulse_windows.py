@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import gaussian_filter1d
 
+from hueflight.calibration.fixed_reflections import (
+    require_no_earlier_pulses,
+    require_pulses_where_due,
+)
+from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.model.time_bins import TimeBins
@@ -18,33 +23,7 @@ WINDOW_FLOOR = 0.02  #: a window ends where the pulse has fallen to this share o
 SMOOTHING_BINS = 1.5  #: σ of the smoothing before peaks are looked for
 NOISE_MARGIN = 5.0  #: a pulse stands this many standard deviations above nothing
 FAR_M = 5.0  #: distance from which other units than meters are thought of
-REFLECTION_MARGIN = 8.0  #: standard deviations by which light of a weak reflection stands out,
-REFLECTION_PEAK = 3.0  #: times the light beside it,
-LEAST_REFLECTION = 0.01  #: and share of the pulse, below which it is harmless
-REMEDY = (
-    "Block it, or capture the same without a target and subtract those counts from reference and "
-    "scene"
-)
 LEAST_MODULATION = 0.2  #: share of the reference's light that must stand above its floor
-
-
-@dataclass(frozen=True)
-class PulseWindow:
-    """Bins [start, stop) that hold one pulse of a band, in time order.
-
-    Attributes
-    ----------
-    band : int
-        Index of the band.
-    start : int
-        First bin; negative where the window wraps around the start of the period.
-    stop : int
-        Bin after the last one; beyond the number of bins where the window wraps around the end.
-    """
-
-    band: int
-    start: int
-    stop: int
 
 
 def expected_train(
@@ -126,14 +105,19 @@ def find_windows(
     shift = _train_shift(smooth, instrument, bins, distance=distance)
     visible = np.where(smooth > NOISE_MARGIN * noise, smooth, 0.0)
     _require_meters(smooth, instrument, bins, distance, shift)
-    _require_no_reflection(visible, instrument, bins, distance, shift)
+    due, near = _due_bins(instrument, bins, distance), _tolerance_bins(instrument, bins)
+    shifted = np.array([middle + shift for _, _, middle in due])
+    require_pulses_where_due(visible, shifted, due, near, bins)
     peaks = _pulse_peaks(visible, instrument, bins, distance=distance, shift=shift)
+    found = np.array([peak for _, peak in peaks])
+    require_pulses_where_due(visible, found, due, near, bins)
+    tops = frozenset(peak % bins.count for _, peak in peaks)
     windows = _separated(
-        [PulseWindow(band, *_grow(smooth, peak, bins)) for band, peak in peaks], bins
+        [PulseWindow(band, *_grow(smooth, peak, bins, tops)) for band, peak in peaks], bins
     )
     if distance > 0:
         counts = np.asarray(pooled, np.float64)
-        _require_no_weak_reflection(counts, windows, instrument, bins, shift)
+        require_no_earlier_pulses(counts, windows, bins, distance)
     return windows
 
 
@@ -175,94 +159,6 @@ def _require_meters(
                 f"distance = {distance!r}: the pulses arrive when a target at {guess:g} m would "
                 f"return them. Distances are in meters: if these are {unit}, give {guess:g}"
             )
-
-
-def _require_no_reflection(
-    visible: NDArray[np.float64],
-    instrument: Instrument,
-    bins: TimeBins,
-    distance: float,
-    shift: int,
-) -> None:
-    """Refuse a reference with stronger light elsewhere than where its pulses are due and seen."""
-    near = _tolerance_bins(instrument, bins)
-    if abs(shift) <= near:
-        return
-    due = _due_bins(instrument, bins, distance)
-    found = np.array([middle + shift for _, _, middle in due])
-    alone = False
-    for _, _, middle in due:
-        around = np.arange(middle - near - 1, middle + near + 2)
-        if bins.period_ns is None and not (around[0] >= 0 and around[-1] < bins.count):
-            return
-        seen = visible[around % bins.count]
-        if seen.max() <= 2 * max(seen[0], seen[-1]):
-            return  # no pulse there: the latency differs from the description
-        off = found - middle
-        if bins.period_ns is not None:
-            off = (off + bins.count // 2) % bins.count - bins.count // 2
-        alone |= bool(np.abs(off).min() > near)
-    if not alone:
-        return  # equally spaced pulses: those of other bands stand there
-    strongest = bins.centers_ns[found[0] % bins.count]
-    raise CalibrationError(
-        f"the reference shows pulses where they are due, the first at {due[0][1]:.1f} ns, and "
-        f"stronger light at {strongest:.1f} ns: a fixed reflection, as of a cover glass. It would "
-        f"be taken for the target. {REMEDY}"
-    )
-
-
-def _require_no_weak_reflection(
-    counts: NDArray[np.float64],
-    windows: tuple[PulseWindow, ...],
-    instrument: Instrument,
-    bins: TimeBins,
-    shift: int,
-) -> None:
-    """Refuse a reference with pulses from the camera itself that are weaker than the target's.
-
-    They stand where the light of a target at distance 0 would. Where the target's own pulses reach
-    that far, nothing is concluded.
-    """
-    near = _tolerance_bins(instrument, bins)
-    inside = np.zeros(bins.count, bool)
-    pulses = np.zeros(len(instrument.bands))
-    for window in windows:
-        here = np.arange(window.start, window.stop) % bins.count
-        inside[here] = True
-        pulses[window.band] += counts[here].sum()
-    if inside.all():
-        return
-    level = float(np.median((counts / bins.widths_ns)[~inside]))
-    shares = []
-    for band, _, middle in _due_bins(instrument, bins, 0.0):
-        around = np.arange(middle - 2 * near, middle + 2 * near + 1) + shift
-        is_core = np.abs(around - middle - shift) <= near
-        if bins.period_ns is None:
-            there = (around >= 0) & (around < bins.count)
-            if not there[is_core].all():
-                continue
-            around, is_core = around[there], is_core[there]
-        around %= bins.count
-        if inside[around].any():
-            continue
-        above = counts[around] - level * bins.widths_ns[around]
-        core, sides = above[is_core], above[~is_core]
-        excess = float(core.sum())
-        noise = np.sqrt(counts[around].sum())
-        if (
-            excess <= REFLECTION_MARGIN * noise
-            or core.mean() <= REFLECTION_PEAK * max(sides.mean(), 0.0)
-            or excess <= LEAST_REFLECTION * pulses[band]
-        ):
-            return
-        shares.append(excess / pulses[band])
-    if shares:
-        raise CalibrationError(
-            f"the reference shows light from the camera itself, {np.mean(shares):.1%} as strong as "
-            "the target's, where pulses from a distance of 0 are due: a fixed reflection, as of a "
-            f"cover glass. It stays in place while the target moves. {REMEDY}"
-        )
 
 
 def _train_shift(
@@ -312,8 +208,10 @@ def _pulse_peaks(
     return peaks
 
 
-def _grow(light: NDArray[np.float64], peak: int, bins: TimeBins) -> tuple[int, int]:
-    """First and one past the last bin of the pulse whose highest bin is `peak`."""
+def _grow(
+    light: NDArray[np.float64], peak: int, bins: TimeBins, tops: frozenset[int]
+) -> tuple[int, int]:
+    """First and one past the last bin of the pulse whose highest bin is `peak`, one of `tops`."""
     circular = bins.period_ns is not None
     floor = WINDOW_FLOOR * light[peak % bins.count]
 
@@ -325,6 +223,8 @@ def _grow(light: NDArray[np.float64], peak: int, bins: TimeBins) -> tuple[int, i
                 return here
             value = light[beyond % bins.count]
             if value < floor or abs(beyond - peak) >= bins.count // 2:
+                return here
+            if beyond % bins.count in tops:  # a neighbour's peak, after a valley too narrow to see
                 return here
             # a valley: light rises again and stays risen, so a neighbour begins
             further = light[(beyond + 2 * step) % bins.count]
@@ -356,49 +256,3 @@ def _separated(windows: list[PulseWindow], bins: TimeBins) -> tuple[PulseWindow,
             separated[index] = replace(mine, stop=cut)
             separated[following] = replace(its, start=cut - turn)
     return tuple(separated)
-
-
-def window_sums(
-    counts: NDArray[np.floating],
-    windows: tuple[PulseWindow, ...],
-    shift: NDArray[np.integer],
-    *,
-    bands: int,
-    circular: bool,
-) -> NDArray[np.float64]:
-    """Sum the counts in each band's windows, moved by each pixel's own shift (paper, eq. 2).
-
-    Parameters
-    ----------
-    counts : ndarray, shape (pixel, bin)
-        Counts in time order.
-    windows : tuple of PulseWindow
-        Windows of all pulses.
-    shift : ndarray of int, shape (pixel,)
-        Whole bins by which the windows move; positive when the light arrives later.
-    bands : int
-        Number of bands.
-    circular : bool
-        True where windows wrap around the period; False to cut them off at the first and last bin.
-
-    Returns
-    -------
-    ndarray of float, shape (band, pixel)
-        Counts in the windows of each band.
-    """
-    pixels, count = counts.shape
-    running = np.concatenate(
-        [np.zeros((pixels, 1)), np.cumsum(counts, axis=-1, dtype=np.float64)], axis=-1
-    )
-    rows = np.arange(pixels)
-
-    def up_to(bin_index: NDArray[np.integer]) -> NDArray[np.float64]:
-        if not circular:
-            return running[rows, np.clip(bin_index, 0, count)]
-        turns, rest = np.divmod(bin_index, count)
-        return running[rows, rest] + turns * running[:, -1]
-
-    sums = np.zeros((bands, pixels))
-    for window in windows:
-        sums[window.band] += up_to(window.stop + shift) - up_to(window.start + shift)
-    return sums

@@ -6,7 +6,7 @@ The format number rises whenever an older reader would be misled.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hueflight.errors import CalibrationError, CalibrationNotFoundError, FileFormatError
 from hueflight.files import ZARR_FORMAT, make_parent, require_checksums, staged, write_checksums
+from hueflight.files.checksums import CHECKSUM_LIST
 from hueflight.recognition import CALIBRATION, CALIBRATION_FORMAT, what_is
 
 FORMAT = CALIBRATION_FORMAT
@@ -25,6 +26,112 @@ FORMAT_NUMBER = 2
 #: format 1 kept its checksums, of the arrays' values, in the attribute `crc32c`
 READABLE_FORMATS = (1, 2)
 CHUNK_BYTES = 4e6
+REFERENCE = "reference"
+DEFERRED_BYTES = 2.5e8  #: larger references stay on disk until they are used
+
+
+@dataclass(frozen=True)
+class StoredReference:
+    """Counts of a reference that are on disk.
+
+    Attributes
+    ----------
+    path : Path
+        The store.
+    shape : tuple of int
+        Rows, columns and bins.
+    checksums : bytes
+        List of the store's checksums when it was opened, which were verified then.
+    """
+
+    path: Path
+    shape: tuple[int, ...]
+    checksums: bytes
+
+    def blocks(self) -> Iterator[NDArray[np.float32]]:
+        """Read the counts in runs of some rows.
+
+        Yields
+        ------
+        ndarray of float32, shape (row, col, bin)
+            The next rows.
+
+        Raises
+        ------
+        CalibrationError
+            If the store was replaced or removed since it was opened.
+        """
+        if _list_of(self.path) != self.checksums:
+            raise CalibrationError(
+                f"calibration {str(self.path)!r} was replaced or removed since it was loaded: load "
+                "it again"
+            )
+        array = cast("zarr.Array", zarr.open_group(self.path, mode="r")[REFERENCE])
+        rows = array.chunks[0]
+        for start in range(0, self.shape[0], rows):
+            yield np.asarray(array[start : start + rows])
+
+    def read(self) -> NDArray[np.float32]:
+        """Read all counts.
+
+        Returns
+        -------
+        ndarray of float32, shape (row, col, bin)
+            The counts.
+
+        Raises
+        ------
+        CalibrationError
+            If the store was replaced or removed since it was opened.
+        """
+        counts = np.empty(self.shape, np.float32)
+        start = 0
+        for block in self.blocks():
+            counts[start : start + len(block)] = block
+            start += len(block)
+        return counts
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Send the counts themselves to other processes, which may not see this disk."""
+        return np.asarray, (self.read(),)
+
+
+class DeferredReference:
+    """Field of a frozen dataclass whose counts may stay on disk until they are first used."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = f"_{name}"
+
+    def __get__(self, instance: object | None, owner: type) -> NDArray[np.float32]:
+        if instance is None:  # `dataclass` asks for a default, and there is none
+            raise AttributeError(self._name)
+        value = vars(instance)[self._name]
+        if isinstance(value, StoredReference):
+            value = vars(instance)[self._name] = value.read()
+        return value
+
+    def __set__(self, instance: object, value: NDArray[np.float32] | StoredReference) -> None:
+        vars(instance)[self._name] = value
+
+    @staticmethod
+    def blocks(calibration: object) -> Iterator[NDArray[np.float32]]:
+        """Give the counts in runs of rows, without keeping those that are read.
+
+        Parameters
+        ----------
+        calibration : object
+            What has a field ``reference`` of this kind.
+
+        Yields
+        ------
+        ndarray of float32, shape (row, col, bin)
+            The next rows.
+        """
+        value = vars(calibration)[f"_{REFERENCE}"]
+        if isinstance(value, StoredReference):
+            yield from value.blocks()
+        else:
+            yield value
 
 
 @dataclass(frozen=True)
@@ -34,12 +141,12 @@ class StoredCalibration:
     Attributes
     ----------
     arrays : Mapping of str to ndarray
-        The arrays by name.
+        The arrays by name; a large reference of a store that was read is a `StoredReference`.
     attributes : Mapping of str to Any
         Everything that is not an array.
     """
 
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: Mapping[str, Any]
     attributes: Mapping[str, Any]
 
 
@@ -116,7 +223,18 @@ def read_store(path: Path) -> StoredCalibration:
             require_checksums(path)
         # not group.members(), which warns of the list of checksums
         names = sorted(member.name for member in path.iterdir() if member.is_dir())
-        arrays = {name: np.asarray(cast("zarr.Array", group[name])[...]) for name in names}
+        members = {name: cast("zarr.Array", group[name]) for name in names}
+        # format 1 has checksums of values, for which they have to be read
+        large = REFERENCE in members and members[REFERENCE].nbytes > DEFERRED_BYTES
+        deferred = number > 1 and large
+        arrays: dict[str, Any] = {
+            name: np.asarray(array[...])
+            for name, array in members.items()
+            if not (deferred and name == REFERENCE)
+        }
+        if deferred:
+            shape = members[REFERENCE].shape
+            arrays[REFERENCE] = StoredReference(path.absolute(), shape, _list_of(path))
         if number == 1:
             _verify_values(arrays, cast("dict[str, int]", attributes["crc32c"]))
     except FileFormatError as error:
@@ -126,6 +244,13 @@ def read_store(path: Path) -> StoredCalibration:
             f"calibration {path} is damaged: {describe(error)}. Restore it or calibrate again"
         ) from None
     return StoredCalibration(arrays, attributes)
+
+
+def _list_of(path: Path) -> bytes:
+    try:
+        return (path / CHECKSUM_LIST).read_bytes()
+    except OSError:
+        return b""
 
 
 def _no_calibration(path: Path) -> CalibrationError:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from hueflight.calibration.pulse_train_fit import fit_pulse_train
-from hueflight.calibration.pulse_windows import PulseWindow
+from hueflight.calibration.windows import PulseWindow
 from hueflight.errors import CalibrationError
 from hueflight.model.instrument import Instrument
 from hueflight.model.pulses import Pulse
@@ -21,6 +21,7 @@ KNOTS_PER_FWHM = 12  #: of the shortest pulse; finer knots only fit noise
 DELAY_STEPS_PER_BIN = 8  #: pixels whose delays round to the same step are pooled
 MOST_GROUPS = 64  #: with more pools than that, steps are doubled, but
 COARSEST_STEP = 0.5  #: not beyond this part of the waveforms' knots
+POOLED_BYTES = 1 << 24  #: of counts that are added up together
 TrainModel = tuple[list[tuple[int, Pulse]], float]  #: (band, pulse) of each, background per ns
 
 NOISE_MARGIN = 4.0  #: a waveform ends where it is this many standard deviations above 0
@@ -80,8 +81,12 @@ class PooledCounts:
             steps, group = np.unique(np.rint(delays_ns / step_ns), return_inverse=True)
         counts = np.zeros((steps.size, light.shape[-1]))
         flat, pixels = light.reshape(-1, light.shape[-1]), np.flatnonzero(usable)
+        at_once = max(1, POOLED_BYTES // flat[:1].nbytes)
         for index in range(steps.size):
-            counts[index] = flat[pixels[group == index]].sum(axis=0, dtype=np.float64)
+            members = pixels[group == index]
+            for start in range(0, members.size, at_once):
+                some = flat[members[start : start + at_once]]  # copied, so not all of a capture
+                counts[index] += some.sum(axis=0, dtype=np.float64)
         return cls(counts, steps * step_ns)
 
     def aligned(self, values: NDArray[np.float64], bins: TimeBins) -> NDArray[np.float64]:

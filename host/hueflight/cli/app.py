@@ -12,14 +12,16 @@ from cyclopts import App, CycloptsError
 
 from hueflight.cli.exit_codes import FAILED, INTERRUPTED
 from hueflight.errors import HueflightError
+from hueflight.memory import LIMIT_NAME
 
 #: summary of each command; function NAME of module ``hueflight.cli.NAME`` runs it
 COMMANDS = {
+    "board": "Test an illuminator on the bench, or choose the clock that it runs from.",
     "calibrate": "Make a calibration from captures of a flat target.",
     "capture": "Record a capture from the camera.",
     "check": "Check with a new reference capture whether a calibration still holds.",
     "demo": "Redraw the published figures from a simulated instrument, as a page with pictures.",
-    "export": "Write an image in a format that other tools open.",
+    "export": "Write an image in a format that other tools open, or pictures into a recording.",
     "info": "Show what a file is, what it holds and whether it is whole.",
     "instrument": "Make the description of an instrument, compare it with a capture, or show it.",
     "reconstruct": "Reconstruct depth and reflectance in every band from one or many captures.",
@@ -68,6 +70,8 @@ def main(words: Sequence[str] | None = None) -> None:
         _fail(explain(error))
     except HueflightError as error:
         _fail(str(error))
+    except MemoryError:
+        _fail(f"memory is exhausted: end other programs, or work on less at a time ({LIMIT_NAME})")
     except KeyboardInterrupt:
         _say("interrupted")
         raise SystemExit(INTERRUPTED) from None

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from hueflight.calibration import calibrate as calibrate_captures
 from hueflight.cli.choices import PRESETS
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import progress, show
 from hueflight.cli.units import require_meters, require_share
 from hueflight.errors import CalibrationError, HueflightError
@@ -40,7 +41,7 @@ def calibrate(
     frames: float | None = None,
     dataset: str | None = None,
     axes: str = AXES,
-    channel: int | None = None,
+    channel: Annotated[int | None, WHOLE] = None,
     ignore_notes: Annotated[bool, Parameter(negative=())] = False,
     overwrite: bool = False,
     json: bool = False,
@@ -68,8 +69,8 @@ def calibrate(
         Capture under steady light, from which the width of each code is measured. Without it,
         all codes are taken to have the nominal width.
     reflectance : tuple of float, optional
-        Known reflectance of the target: one number, or one for each band (1 = white). Without
-        it, the target counts as 1 in every band.
+        Known reflectance of the target: one number, or one for each band, with the option
+        repeated before each (1 = white). Without it, the target counts as 1 in every band.
     frames : float, optional
         Number of exposures behind the reference. By default it is known only for a sensor that
         reports its empty exposures, as the sum of the counts of a pixel.
@@ -81,7 +82,8 @@ def calibrate(
         in place of code for raw codes; step in a capture of one LED at a time; a minus sign for
         an axis of length one. The names apply to every capture of this command.
     channel : int, optional
-        Detection channel of .ptu files, counted from 0. By default the only one with photons.
+        Detection channel of .ptu and .sdt files, counted from 0. By default the only one with
+        photons.
     ignore_notes : bool, default False
         Calibrate although a recording states another kind of capture, or another distance, than the
         options of this command do.
@@ -123,6 +125,7 @@ def calibrate(
         )  # fmt: skip
         calibration.save(out, overwrite=overwrite)
         shown.advance()
+    unknown = {"exposures": "unknown: pile-up is not corrected; state --frames"}
     show(
         f"Calibration {out}",
         {
@@ -134,6 +137,7 @@ def calibrate(
             "windows": len(calibration.windows),
             "measured_bin_widths": flat is not None,
             "one_led_templates": bands is not None,
+            **(unknown if calibration.frames is None else {}),
         },
         json_wanted=json,
     )

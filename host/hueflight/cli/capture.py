@@ -22,14 +22,22 @@ from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.summary import write_summary
 from hueflight.calibration import Calibration
 from hueflight.cli.choices import PRESETS, SCENE_NAMES
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import error_console, print_notice, show
 from hueflight.devices.built_in_rigs import choose_rig
+from hueflight.devices.camera_controls import CameraControls
 from hueflight.devices.illumination import GUIDANCE, CaptureKind
+from hueflight.devices.reduction import Reduction
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.stopping import StopRule
+from hueflight.reconstruction.sums.design import design_sums
+from hueflight.reconstruction.sums.recorded import describe_sums
+from hueflight.recording.recorded_sums import ATTACHMENT, SumsDescription
 
 CONNECT_S = 10.0
+PICTURES_HZ = 10.0  #: of sums
+LEAST_PHOTONS = 1000  #: that sums of a picture hold without saturation, at least
 REFRESH_S = 0.2
 
 
@@ -40,13 +48,15 @@ def capture(
     instrument: Annotated[
         str, Parameter(help=f"Instrument: a preset ({PRESETS}) or the path of a TOML file.")
     ] = "paper",
-    frames: int = 0,
+    frames: Annotated[int, WHOLE] = 0,
     seconds: float | None = None,
     photons: float | None = None,
     calibration: Path | None = None,
     until_depth_std: float | None = None,
     until_reflectance_std: float | None = None,
     share: float = 0.9,
+    reduce: Annotated[bool, Parameter(negative=())] = False,
+    picture_frames: Annotated[int | None, WHOLE] = None,
     distance: float | None = None,
     note: str = "",
     rig: str | None = None,
@@ -82,8 +92,8 @@ def capture(
         Mean number of photons per pixel after which the capture ends. By default it is not
         limited.
     calibration : Path, optional
-        Calibration NAME.zarr with which the uncertainties of pixels are estimated; needed for
-        --until-depth-std and --until-reflectance-std.
+        Calibration NAME.zarr with which the uncertainties of pixels are estimated or the tables of
+        sums are designed; needed for --until-depth-std, --until-reflectance-std and --reduce.
     until_depth_std : float, optional
         Standard deviation of depth, in metres, at which the capture ends. By default depth does
         not end it.
@@ -93,6 +103,11 @@ def capture(
     share : float, default 0.9
         Fraction of pixels that must reach the target of --until-depth-std or
         --until-reflectance-std.
+    reduce : bool, default False
+        Have the camera send a few sums per pixel instead of all codes, for links that do not carry
+        these. Images of such a recording are made with method sums.
+    picture_frames : int, optional
+        Frames behind each picture of sums. By default those of a tenth of a second.
     distance : float, optional
         Distance of the target from the camera, in metres, to be stored in the recording. By
         default none is stored.
@@ -126,14 +141,25 @@ def capture(
             )
     described = Instrument.load(instrument)
     metadata = {"note": note} if note else {}
+    reduction = reduction_of(described, calibration, picture_frames) if reduce else None
+    if picture_frames is not None and not reduce:
+        raise CaptureError(f"--picture-frames {picture_frames}: it belongs to --reduce")
+    if reduce and kind != "scene":
+        raise CaptureError(f"--reduce: a capture of kind {kind!r} needs histograms, leave it out")
+    targets = until_depth_std, until_reflectance_std
+    if reduce and targets != (None, None):
+        raise CaptureError(
+            "--until-depth-std and --until-reflectance-std need histograms: leave out --reduce, or "
+            "give --frames, --seconds or --photons"
+        )
     if distance is not None:
         metadata["distance_m"] = str(distance)
     plan = RunPlan(
         kind=kind, frames=frames, seconds=seconds, photons_per_pixel=photons, path=out,
-        metadata=metadata,
-        precision_stop=until_of(
-            described, calibration, until_depth_std, until_reflectance_std, share
-        ),
+        metadata=metadata, attachments={} if reduction is None else {
+            ATTACHMENT: reduction[1].to_bytes()
+        },
+        precision_stop=None if reduce else until_of(described, calibration, *targets, share),
     )  # fmt: skip
     plan.check()
     connect = choose_rig(
@@ -141,6 +167,8 @@ def capture(
         say=lambda text: print_notice(text, style="bold yellow"),
     )  # fmt: skip
     acquisition = Acquisition(connect, described)
+    if reduction is not None:
+        acquisition.set_controls(CameraControls(reduction=reduction[0]), acquisition.settings)
     console = error_console()
     with _StopOnInterrupt(acquisition):
         try:
@@ -158,6 +186,42 @@ def capture(
     show(f"Capture {out}", summary, json_wanted=json)
     if result.failure:
         raise HueflightError(f"the capture broke off: {result.failure}")
+
+
+def reduction_of(
+    instrument: Instrument, calibration: Path | None, picture_frames: int | None
+) -> tuple[Reduction, SumsDescription]:
+    """What the camera needs for sums, and what their recording must hold.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Instrument of the capture.
+    calibration : Path or None
+        Calibration of the same instrument.
+    picture_frames : int or None
+        Frames of a picture.
+
+    Returns
+    -------
+    reduction : Reduction
+        For the camera.
+    description : SumsDescription
+        For the recording.
+
+    Raises
+    ------
+    HueflightError
+        If there is no calibration of this instrument.
+    """
+    if calibration is None:
+        raise CaptureError("--reduce needs a calibration to design sums with: give --calibration")
+    known = Calibration.load(calibration)
+    known.require(instrument)
+    rate_hz = instrument.sensor.usual_frame_rate_hz
+    frames = picture_frames or max(1, round(rate_hz / PICTURES_HZ))
+    described = describe_sums(design_sums(known, most_photons=max(frames, LEAST_PHOTONS)), known)
+    return Reduction(described.tables, frames, described.offsets), described
 
 
 def until_of(

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from hueflight.calibration import Calibration, check_calibration
 from hueflight.cli.exit_codes import NO_LONGER_HOLDS
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import show
 from hueflight.cli.units import require_meters
 from hueflight.files import refuse_existing
@@ -26,7 +27,7 @@ def check(
     frames: float | None = None,
     dataset: str | None = None,
     axes: str = AXES,
-    channel: int | None = None,
+    channel: Annotated[int | None, WHOLE] = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> int:
@@ -54,7 +55,8 @@ def check(
     axes : str, default "row,col,code"
         Names of the axes of the array in files of counts, in its order.
     channel : int, optional
-        Detection channel of .ptu files, counted from 0. By default the only one with photons.
+        Detection channel of .ptu and .sdt files, counted from 0. By default the only one with
+        photons.
     overwrite : bool, default False
         Replace an existing page of that name.
     json : bool, default False

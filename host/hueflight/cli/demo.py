@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import progress, show
 from hueflight.errors import HueflightError
 from hueflight.files import refuse_existing
@@ -20,8 +21,8 @@ PAGE, NUMBERS, PIXELS = "index.html", "figures.json", "pixels.html"
 def demo(
     *,
     out: Path = Path("out/demo"),
-    frames: int = 10_000,
-    seed: int = 1,
+    frames: Annotated[int, WHOLE] = 10_000,
+    seed: Annotated[int, WHOLE] = 1,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:

@@ -14,6 +14,7 @@ from cyclopts import App, Parameter
 from hueflight.calibration.description_check import check_description
 from hueflight.cli.choices import PRESETS
 from hueflight.cli.exit_codes import FAILED
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import print_notice, show
 from hueflight.cli.units import require_meters
 from hueflight.errors import InstrumentError
@@ -42,9 +43,9 @@ def new(
     source: Annotated[Path | None, Parameter(name=["--from"])] = None,
     band: tuple[str, ...] = (),
     name: str | None = None,
-    rows: int | None = None,
-    cols: int | None = None,
-    code_bits: int | None = None,
+    rows: Annotated[int | None, WHOLE] = None,
+    cols: Annotated[int | None, WHOLE] = None,
+    code_bits: Annotated[int | None, WHOLE] = None,
     bin_width: float | None = None,
     period: float | None = None,
     direction: Literal["forward", "reverse"] = "forward",
@@ -54,7 +55,8 @@ def new(
     field_of_view: float | None = None,
     pixel_width: float | None = None,
     pixel_height: float | None = None,
-    channel: int | None = None,
+    dataset: str | None = None,
+    channel: Annotated[int | None, WHOLE] = None,
     overwrite: bool = False,
 ) -> None:
     """Write the description of an instrument from a few answers.
@@ -97,8 +99,10 @@ def new(
         Distance between neighbouring columns of pixels, µm.
     pixel_height : float, optional
         Distance between neighbouring rows, µm; by default the same.
+    dataset : str, optional
+        Number of the data block of an .sdt file; by default the only one with decays.
     channel : int, optional
-        Detection channel of a .ptu file, counted from 0.
+        Detection channel of a .ptu or .sdt file, counted from 0.
     overwrite : bool, default False
         Replace an existing file.
     """
@@ -113,7 +117,9 @@ def new(
             period = _number("--period", text) if text else None
     bands = tuple(_band(text) for text in band or _asked_bands())
     if source is not None:
-        made = tcspc_instrument(source, bands, name=name or out.stem, channel=channel)
+        made = tcspc_instrument(
+            source, bands, name=name or out.stem, channel=channel, block=dataset
+        )
         given = {key: value for key, value in answers.items() if value is not None}
         if given:
             raise InstrumentError(
@@ -175,7 +181,7 @@ def check(
     picture: Annotated[Path | None, Parameter(name=["--picture", "-p"])] = None,
     dataset: str | None = None,
     axes: str = AXES,
-    channel: int | None = None,
+    channel: Annotated[int | None, WHOLE] = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> int:
@@ -200,7 +206,7 @@ def check(
     axes : str, default "row,col,code"
         Names of the axes of the array, in its order.
     channel : int, optional
-        Detection channel of .ptu files, counted from 0.
+        Detection channel of .ptu and .sdt files, counted from 0.
     overwrite : bool, default False
         Replace an existing picture.
     json : bool, default False

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from hueflight.batch import BatchReport, reconstruct_file, reconstruct_many
 from hueflight.cli.choices import METHOD_NAMES
 from hueflight.cli.exit_codes import FAILED
+from hueflight.cli.options import WHOLE, band_list, region_slices, require_threads
 from hueflight.cli.output import print_notice, progress, show
 from hueflight.errors import HueflightError, MissingPackageError
 from hueflight.export import FORMATS
@@ -48,11 +49,11 @@ def reconstruct(
     region: str | None = None,
     mixed: bool | None = None,
     second_returns: bool | None = None,
-    threads: int = 1,
+    threads: Annotated[int, WHOLE] = 1,
     dataset: str | None = None,
     axes: str = AXES,
-    channel: int | None = None,
-    workers: int | None = None,
+    channel: Annotated[int | None, WHOLE] = None,
+    workers: Annotated[int | None, WHOLE] = None,
     scheduler: str | None = None,
     preview: bool = True,
     overwrite: bool = False,
@@ -97,10 +98,11 @@ def reconstruct(
         half the spacing of the pulses about the distance of the calibration target.
     frames : float, optional
         Number of exposures behind each capture. By default the sum of the counts of a pixel if the
-        sensor reports its empty exposures; otherwise as many as the reference had.
+        sensor reports its empty exposures; otherwise as many as the reference had, which the
+        summary then says.
     bands : str, optional
-        Names or numbers (from 0) of the bands to keep in the image, separated by commas, such as
-        red,green. By default all bands.
+        Names, numbers (from 0) or wavelengths of the bands to keep in the image, separated by
+        commas, such as red,532nm. By default all bands.
     region : str, optional
         Rows and columns to reconstruct, from 0 and without the last ones, such as 10:20,30:40 or
         :,30:40. Other pixels have no result and are flagged as skipped. By default all pixels.
@@ -121,7 +123,8 @@ def reconstruct(
         Names of the axes of the array in files of counts, in its order: row, col and code; frame
         in place of code for raw codes; a minus sign for an axis of length one.
     channel : int, optional
-        Detection channel of .ptu files, counted from 0. By default the only one with photons.
+        Detection channel of .ptu and .sdt files, counted from 0. By default the only one with
+        photons.
     workers : int, optional
         Number of processes that share the captures of a folder. By default one for each
         processor core.
@@ -144,8 +147,7 @@ def reconstruct(
     """
     if not captures:
         raise HueflightError("no captures: name at least one recording or file of counts")
-    if threads < 1:
-        raise HueflightError(f"--threads {threads}: at least one thread is needed")
+    require_threads(threads)
     options: dict[str, Any] = {"pileup_correction": pileup_correction}
     given = {
         "method": method,
@@ -153,8 +155,8 @@ def reconstruct(
         "background": None if background == "flat" else background,
         "depth_range": depth_range,
         "frames": frames,
-        "bands": None if bands is None else [name.strip() for name in bands.split(",")],
-        "region": None if region is None else _slices(region),
+        "bands": band_list(bands),
+        "region": region_slices(region),
         "mixed": mixed,
         "second_returns": second_returns,
         "threads": None if threads == 1 else threads,
@@ -200,19 +202,6 @@ def _names_one_image(out: Path) -> bool:
                 f"then convert it: hueflight export {out.stem}.zarr {out.name}"
             )
     return name.endswith(IMAGE_ENDINGS)
-
-
-def _slices(region: str) -> tuple[slice, slice]:
-    """Rows and columns of a region such as ``10:20,30:40``."""
-    parts = [part.strip().split(":") for part in region.split(",")]
-    numbers = [number.strip() for part in parts for number in part]
-    shaped = len(parts) == 2 and all(len(part) == 2 for part in parts)
-    if not shaped or not all(number.isdecimal() or not number for number in numbers):
-        raise HueflightError(
-            f"--region {region}: give rows and columns as FIRST:END,FIRST:END, such as 10:20,30:40"
-        )
-    top, bottom, left, right = (int(number) if number else None for number in numbers)
-    return slice(top, bottom), slice(left, right)
 
 
 def _can_draw() -> bool:

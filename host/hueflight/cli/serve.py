@@ -10,6 +10,7 @@ import msgspec
 from cyclopts import Parameter
 
 from hueflight.cli.choices import METHOD_NAMES, PRESETS, SCENE_NAMES
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import print_notice
 from hueflight.devices.built_in_rigs import choose_rig
 from hueflight.errors import HueflightError
@@ -46,7 +47,7 @@ def serve(
         ),
     ] = None,
     host: str | None = None,
-    port: int | None = None,
+    port: Annotated[int | None, WHOLE] = None,
     foxglove: bool | None = None,
     token_file: Path | None = None,
     json_logs: bool | None = None,

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from hueflight import simulator
 from hueflight.cli.choices import PRESETS, SCENE_NAMES
+from hueflight.cli.options import WHOLE
 from hueflight.cli.output import progress, show
 from hueflight.errors import SceneError
 from hueflight.files import refuse_existing
@@ -31,9 +32,9 @@ def simulate(
     instrument: Annotated[
         str, Parameter(help=f"Instrument: a preset ({PRESETS}) or the path of a TOML file.")
     ] = "paper",
-    frames: int = 1000,
+    frames: Annotated[int, WHOLE] = 1000,
     distance: float | None = None,
-    seed: int = 1,
+    seed: Annotated[int, WHOLE] = 1,
     light: Annotated[
         float | None,
         Parameter(
@@ -41,7 +42,7 @@ def simulate(
             f"1 m. By default {_LIGHT:g}."
         ),
     ] = None,
-    rays: int = 1,
+    rays: Annotated[int, WHOLE] = 1,
     motion: Annotated[tuple[float, float, float], Parameter(negative_iterable=())] = (
         0.0,
         0.0,

@@ -26,7 +26,7 @@ def require_meters(distance: float | None, instrument: Instrument) -> None:
     Raises
     ------
     HueflightError
-        If the distance is more than five times this range.
+        If the distance is more than `RANGES` times this range.
     """
     if distance is None:
         return
@@ -50,7 +50,7 @@ def require_share(reflectance: Iterable[float] | None) -> None:
     Raises
     ------
     HueflightError
-        If a value is above 2.
+        If a value is above `BRIGHTEST`.
     """
     for value in reflectance or ():
         if value > BRIGHTEST:

@@ -195,6 +195,17 @@ class AsyncClient:
             timeout_s=timeout_s,
         )
 
+    async def controls(self) -> dict[str, Any]:
+        """Return what of camera and LEDs may be changed; see `Client.controls`."""
+        return await asyncio.to_thread(self._client.controls)
+
+    async def set_controls(self, **changes: Any) -> dict[str, Any]:
+        """Change schedule, frame rate, region, time gate or masked pixels.
+
+        See `Client.set_controls`.
+        """
+        return await asyncio.to_thread(self._client.set_controls, **changes)
+
     async def pixel(self, row: int, col: int, /) -> dict[str, Any]:
         """Return facts about a pixel of the latest picture; see `Client.pixel`."""
         return await asyncio.to_thread(self._client.pixel, row, col)

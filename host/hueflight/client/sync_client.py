@@ -93,10 +93,7 @@ class Client:
         self._requests = requests
         self._reconnect_s, self._timeout_s = reconnect_s, timeout_s
         self._snapshots: PictureFeed | None = None
-        self._definition = str(requests.check_protocol()["definition"])
-        self.instrument = Instrument.from_json(
-            self._definition, where=f"instrument of {requests.address.netloc}"
-        )
+        self._read_instrument()
 
     def __enter__(self) -> Self:
         return self
@@ -191,6 +188,14 @@ class Client:
             open_timeout_s=self._timeout_s,
         )
 
+    def _read_instrument(self) -> None:
+        """Ask for the instrument, which changes when the schedule of its LEDs is changed."""
+        self._definition = str(self._requests.check_protocol()["definition"])
+        self.instrument = Instrument.from_json(
+            self._definition, where=f"instrument of {self._requests.address.netloc}"
+        )
+        self._fingerprint = self.instrument.fingerprint()
+
     def described(self, picture: xr.Dataset, /) -> xr.Dataset:
         """Return a picture with the description of its instrument, which exports need.
 
@@ -204,7 +209,11 @@ class Client:
         xarray.Dataset
             The same object.
         """
-        picture.attrs["instrument_description"] = self._definition
+        made_by = picture.attrs.get("instrument_fingerprint", self._fingerprint)
+        if made_by != self._fingerprint:
+            self._read_instrument()
+        if made_by == self._fingerprint:
+            picture.attrs["instrument_description"] = self._definition
         return picture
 
     def status(self) -> dict[str, Any]:
@@ -496,6 +505,47 @@ class Client:
             time.sleep(POLL_S)
         if found["step"] != "done":
             raise ClientError(f"there is no new calibration: {found['message']}")
+        return found
+
+    def controls(self) -> dict[str, Any]:
+        """Return what of camera and LEDs may be changed.
+
+        Returns
+        -------
+        dict
+            Schedule, frame rate, region, time gate and masked pixels as they are, and the limits.
+        """
+        return self._requests.ask("GET", "/api/controls")
+
+    def set_controls(self, **changes: Any) -> dict[str, Any]:
+        """Change schedule, frame rate, region, time gate or masked pixels.
+
+        The live run begins again. A calibration applies to its own schedule only: with another one
+        pictures have no depth until there is a calibration of it.
+
+        Parameters
+        ----------
+        **changes : Any
+            What is to change, None for the default: ``rate_hz``, frames per second; ``rows``,
+            ``cols`` and ``gate``, the first and the last one; ``masked``, row and column of
+            pixels; ``schedule``, a dict of ``delays_ns`` of each band and optionally ``period_ns``.
+
+        Returns
+        -------
+        dict
+            The controls as they are now, as of `controls`.
+
+        Raises
+        ------
+        RefusedError
+            If a board can't do it, or a recording or calibration is in progress.
+
+        Examples
+        --------
+        >>> camera.set_controls(rate_hz=100, rows=(40, 80), schedule=None)  # doctest: +SKIP
+        """
+        found = self._requests.ask("POST", "/api/controls", changes)
+        self._read_instrument()
         return found
 
     def pixel(self, row: int, col: int, /) -> dict[str, Any]:

@@ -21,8 +21,26 @@ from hueflight.model.instrument import Instrument
 
 WHITE_PERCENT = 98  #: percentile of the pixels' brightness that is shown as white
 STEPS = 2  #: matrices for each doubling of the noise
+SAMPLED_PIXELS = 4096  #: of a picture at least, from which scales and noise are estimated
 LEVELS = 4096  #: of linear light, in the table of sRGB values
 _SRGB = np.round(255 * encoded(np.linspace(0, 1, LEVELS))).astype(np.uint8)
+
+
+def sampling_step(count: int, /) -> int:
+    """Return the step with which a few thousand of so many pixels are looked at.
+
+    Parameters
+    ----------
+    count : int
+        Number of pixels.
+
+    Returns
+    -------
+    int
+        The step, odd so that it meets all columns of a picture whose width is even; 1 for few
+        pixels.
+    """
+    return count // SAMPLED_PIXELS | 1
 
 
 class LiveColor:
@@ -57,16 +75,27 @@ class LiveColor:
         array of uint8, shape (row, col, 3), or None
             Values of sRGB, 0 where the reflectance is unknown; None if too few bands are visible.
         """
-        reflectance = image["reflectance"].values
-        known = np.asarray(np.isfinite(reflectance).all(axis=-1))
-        if not self._has_color or not known.any():
+        if not self._has_color:
             return None
-        noise = float(np.median(image["reflectance_std"].values[known].mean(axis=0)))
-        linear = np.where(known[..., None], reflectance, 0) @ self._matrix(noise).T
-        brightest = linear.max(axis=-1)[known]
-        white = max(float(np.percentile(brightest, WHITE_PERCENT)), 1e-12)
-        level = np.clip(linear * ((LEVELS - 1) / white) + 0.5, 0, LEVELS - 1)
-        return _SRGB[level.astype(np.uint16)]
+        # without labels, which cost more than the arrays; one row for each pixel
+        reflectance = image.variables["reflectance"].values
+        bands = reflectance.reshape(-1, reflectance.shape[-1])
+        # a pixel of which a band is unknown has an unknown sum
+        known = np.flatnonzero(np.isfinite(bands.sum(axis=-1)))
+        if not known.size:
+            return None
+        some = known[:: sampling_step(known.size)]
+        deviations = image.variables["reflectance_std"].values.reshape(bands.shape)
+        noise = float(np.median(deviations[some].mean(axis=0)))
+        linear = bands @ self._matrix(noise).T
+        brightest = linear[some].max(axis=-1)
+        place = int(WHITE_PERCENT / 100 * (some.size - 1) + 0.5)
+        white = max(float(np.partition(brightest, place)[place]), 1e-12)
+        linear *= (LEVELS - 1) / white
+        linear += 0.5
+        np.fmax(linear, 0.0, out=linear)  # which takes 0 for NaN
+        np.minimum(linear, LEVELS - 1, out=linear)
+        return _SRGB.take(linear.astype(np.uint16)).reshape(*reflectance.shape[:-1], 3)
 
     def shown(self, image: xr.Dataset, /) -> NDArray[np.uint8]:
         """Return the colours of an image, or false colours if too few bands are visible.

@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight.arguments import NUMBER, takes
 from hueflight.color.display import fill_missing, three_band_rgb
 from hueflight.color.observer import encoded, linear_of
 from hueflight.color.recovery import SpectralModel
@@ -65,6 +66,7 @@ def in_color(
     )
 
 
+@takes(image=xr.Dataset, instrument=Instrument, emission=Emission, white=NUMBER)
 def color_picture(
     image: xr.Dataset,
     /,

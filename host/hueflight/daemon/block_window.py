@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import weakref
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class BlockWindow:
     length : int
         Blocks in the sum.
     frames : int
-        Frames in the sum.
+        Frames in the sum, and so behind every pixel.
     """
 
     def __init__(self, length: int) -> None:
@@ -53,6 +54,16 @@ class BlockWindow:
     def least(self) -> int:
         """Blocks in the sum at least, once the window is full."""
         return self.length if self._of_part == 1 else (PARTS - 1) * self._of_part
+
+    @property
+    def most_waiting(self) -> int:
+        """Blocks that may wait to be added; those beyond the window would drop out at once."""
+        return min(self.length, PARTS)
+
+    @property
+    def frames_by_pixel(self) -> int:
+        """Frames behind each pixel, of which all have the same."""
+        return self.frames
 
     @property
     def full(self) -> bool:
@@ -87,24 +98,29 @@ class BlockWindow:
         self._newest = block
         if self._of_part == 1:
             self._kept.append(block)
-            if self._sum.add({_step(block): _histogram(block)}, block.block.frames):
+            if self._sum.add({block.step: block.histogram}, block.block.frames):
                 self._kept.popleft().give_back()
             self.frames = self._sum.frames
         else:
             self._add_to_part(block)
+
+    def add_all(self, blocks: Sequence[LiveBlock]) -> None:
+        """Add blocks one after another."""
+        for block in blocks:
+            self.add(block)
 
     def _add_to_part(self, block: LiveBlock) -> None:
         self._part_blocks += 1
         self._part_frames += block.block.frames
         few = self._part_frames <= np.iinfo(np.uint16).max
         dtype = np.uint16 if few else np.uint32
-        counts = _histogram(block)
+        counts = block.histogram
         if self._part is None:
             self._part = counts.astype(dtype)
         else:
             part = self._part.astype(dtype, copy=False)
             self._part = np.add(part, counts, out=part, casting="unsafe")
-        step = _step(block)
+        step = block.step
         block.give_back()
         self.frames = self._sum.frames + self._part_frames
         if self._part_blocks == self._of_part:
@@ -126,7 +142,7 @@ class BlockWindow:
         if self._only is not None:
             return self._only
         assert self._newest is not None
-        complete = self._sum.sums.get(_step(self._newest))
+        complete = self._sum.sums.get(self._newest.step)
         if self._part is None:
             assert complete is not None
             return complete.copy()
@@ -138,20 +154,11 @@ class BlockWindow:
 
 def _lent(block: LiveBlock) -> Counts:
     """The block's histogram; its memory is given back once nothing refers to this array."""
-    histogram = _histogram(block).view()
+    histogram = block.histogram.view()
     weakref.finalize(histogram, block.give_back)
     return histogram
 
 
-def _histogram(block: LiveBlock) -> Counts:
-    return block.block.counts[_step(block)]
-
-
 def _sequence(block: LiveBlock) -> tuple[int, int]:
     """Run and step, which all blocks of a sum have in common."""
-    return block.run, _step(block)
-
-
-def _step(block: LiveBlock) -> int:
-    """The illuminator's step at the end of the block."""
-    return max(block.block.counts)
+    return block.run, block.step

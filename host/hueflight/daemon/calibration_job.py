@@ -31,6 +31,7 @@ log = structlog.get_logger("hueflight.daemon")
 CALIBRATION_NAME = "calibration.zarr"
 _COMMAND = "from hueflight.cli import main; main()"
 _WORK_TIMEOUT_S = 1800
+OTHER_SCHEDULE = "no calibration fits the schedule of the LEDs: calibrate with this schedule"
 MOST_LOST = 0.01  #: share of the frames of a capture that may be lost
 
 
@@ -122,6 +123,19 @@ class CalibrationJob:
         """Name of the calibration in use, which is that of its folder; empty if there is none."""
         return Path(self.state.path).parent.name if self.state.path else ""
 
+    def follow(self, instrument: Instrument, /) -> None:
+        """Use the newest calibration that fits a schedule that was changed, or none.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument with its present schedule.
+        """
+        self.state = CalibrationState()
+        self.load_latest(instrument)
+        if not self.state.path:
+            self.state = CalibrationState("idle", OTHER_SCHEDULE)
+
     def load_latest(self, instrument: Instrument) -> None:
         """Use the newest calibration of this instrument, if there is any.
 
@@ -158,6 +172,21 @@ class CalibrationJob:
         self._use(calibration)
         message = f"calibrated by simulation at {calibration.distance} m"
         self.state = CalibrationState("done", message, "")
+
+    def use_corrected(self, calibration: Calibration, path: Path, /) -> None:
+        """Use a corrected calibration, which is kept already.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            The calibration.
+        path : Path
+            Where it is kept.
+        """
+        self._use(calibration)
+        self.state = CalibrationState(
+            "done", "calibrated, with drift of the LEDs corrected", str(path)
+        )
 
     def begin(self, *, distance: float, frames: int, bands: bool, dark: bool) -> None:
         """Begin a calibration; it goes on in a thread of its own.

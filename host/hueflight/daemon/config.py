@@ -12,22 +12,24 @@ import msgspec
 
 from hueflight.daemon.config_section import ConfigError, Section, require_ranges
 from hueflight.daemon.picture_settings import LONGEST_S
-from hueflight.daemon.server_config import DEFAULT_PORT, LOOPBACK, ServerConfig
+from hueflight.daemon.server_config import DEFAULT_PORT, LOOPBACK, CameraConfig, ServerConfig
 
 __all__ = [
     "DEFAULT_PORT",
     "LOOPBACK",
     "ConfigError",
     "DaemonConfig",
+    "MaterialsConfig",
     "RecordingConfig",
     "ServerConfig",
 ]
 
+MOST_CAMERAS = 15  #: beside the daemon's own; browsers draw in sixteen places at most
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}")
 
 
 class RecordingConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits on the memory and disk space of recordings.
+    """Limits on the memory and disk space of recordings, and pictures in them.
 
     Attributes
     ----------
@@ -35,13 +37,42 @@ class RecordingConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=
         Most packets that wait for a slow disk, in MiB.
     min_free_mb : int
         Disk space that recordings leave free, in MiB.
+    foxglove_hz : float
+        Pictures per second of recording that are added for Foxglove, on channels of their own,
+        when a recording has ended; 0 for none.
     """
 
     queue_mb: int = 128
     min_free_mb: int = 256
+    foxglove_hz: float = 0.0
 
     def __post_init__(self) -> None:
-        require_ranges(self, "recording.", queue_mb=(1, 65536), min_free_mb=(1, 1 << 30))
+        require_ranges(
+            self,
+            "recording.",
+            queue_mb=(1, 65536),
+            min_free_mb=(1, 1 << 30),
+            foxglove_hz=(0, 1000),
+        )
+
+
+class MaterialsConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Materials and spectral indices that the page shows of a pixel.
+
+    Attributes
+    ----------
+    library : str
+        Spectra of materials: a CSV file, or ``"colorchecker"``; empty for none. See
+        `hueflight.analysis.SpectralLibrary.load`.
+    names : tuple of str
+        Materials of the library that may occur; empty for all.
+    indices : tuple of str
+        Spectral indices; see `hueflight.analysis.add_materials`.
+    """
+
+    library: str = ""
+    names: tuple[str, ...] = ()
+    indices: tuple[str, ...] = ()
 
 
 class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -78,8 +109,8 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         ``inf`` for no limit, 0 for the newest frames alone. By default there is no limit, or 0 if
         `picture_frames` is given.
     change_sigma : float
-        Standard deviations by which a pixel must have changed to be fitted again at once; 0 fits
-        all pixels of every picture.
+        Standard deviations by which a pixel must have changed to be fitted again at once, where
+        photons do not add up; 0 fits all pixels of every picture.
     threads : int
         Threads that count photons.
     picture_threads : int
@@ -90,6 +121,10 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Address, and limits on clients.
     recording : RecordingConfig
         Limits on recordings.
+    materials : MaterialsConfig
+        Materials and spectral indices that the page shows.
+    cameras : tuple of CameraConfig
+        Other daemons, whose cameras are shown beside this one's.
     """
 
     name: str = "hueflight"
@@ -110,6 +145,8 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     foxglove: bool = False
     server: ServerConfig = ServerConfig()
     recording: RecordingConfig = RecordingConfig()
+    materials: MaterialsConfig = MaterialsConfig()
+    cameras: tuple[CameraConfig, ...] = ()
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):
@@ -125,6 +162,8 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
             threads=(1, 256),
             picture_threads=(0, 256),
         )
+        if len(self.cameras) > MOST_CAMERAS:
+            raise ConfigError(f"{len(self.cameras)} tables [[cameras]]: at most {MOST_CAMERAS}")
         if self.integration_s not in (None, math.inf):
             require_ranges(self, "", integration_s=(0, LONGEST_S))
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 import queue
 import threading
 import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import structlog
@@ -36,6 +38,8 @@ class Finisher:
     ----------
     folder : RecordingsFolder
         Folder of the recordings.
+    on_finished : callable
+        Called with path and summary of each recording that has ended, once its files are whole.
 
     Attributes
     ----------
@@ -44,8 +48,14 @@ class Finisher:
         again are not among them.
     """
 
-    def __init__(self, folder: RecordingsFolder, /) -> None:
-        self._folder = folder
+    def __init__(
+        self,
+        folder: RecordingsFolder,
+        /,
+        *,
+        on_finished: Callable[[Path, dict[str, Any]], None] = lambda _, __: None,
+    ) -> None:
+        self._folder, self._on_finished = folder, on_finished
         self._lock = threading.Lock()
         self._names: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self.busy: frozenset[str] = frozenset()
@@ -144,6 +154,8 @@ class Finisher:
         segments = finish_recording(path)
         with self._lock:
             summary = self._summaries.get(name)
+        if summary is not None and not summary.get("failure"):
+            self._on_finished(path, summary)
         if path.with_suffix(".json").exists() or not (segments or summary):
             return  # it was whole before
         if summary is None:

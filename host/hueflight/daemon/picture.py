@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -58,6 +59,16 @@ class Picture:
     received_s: float
     begun_s: float
     ready_s: float
+
+    @cached_property
+    def spread_of_frames(self) -> dict[str, int]:
+        """Frames behind the pixels: of the fewest, of half of them, and the most."""
+        frames = self.frames_by_pixel
+        return {
+            "least": int(frames.min()),
+            "median": int(np.median(frames)),
+            "most": self.frames,
+        }
 
     def received_unix_s(self) -> float:
         """Return the time at which the last photon had arrived, in seconds since 1970."""

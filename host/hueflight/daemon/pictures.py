@@ -19,11 +19,12 @@ from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
-from hueflight.daemon.block_window import PARTS, BlockWindow
+from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.gathered_window import GatheredWindow
 from hueflight.daemon.incremental_fitter import CHANGE_SIGMA, IncrementalFitter
 from hueflight.daemon.picture import Picture, count_photons
 from hueflight.daemon.picture_settings import PictureSettings
+from hueflight.daemon.picture_window import PictureWindow
 from hueflight.errors import HueflightError
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
@@ -50,7 +51,7 @@ class Pictures:
     Parameters
     ----------
     instrument : Instrument
-        Instrument of the histograms.
+        Instrument of the histograms. Those of another schedule are not shown.
     method : str
         Method of reconstruction; empty for the best one that keeps up.
     integration_s : float
@@ -62,8 +63,9 @@ class Pictures:
     block_frames : int
         Frames from one block to the next.
     change_sigma : float
-        With the joint method, standard deviations by which a pixel must have changed to be fitted
-        again at once; 0 fits every pixel of every picture. See `IncrementalFitter`.
+        With the joint method and where photons do not add up, standard deviations by which a pixel
+        must have changed to be fitted again at once; 0 fits every pixel of every picture. See
+        `IncrementalFitter`.
     threads : int
         Threads over pixels.
     on_picture : callable
@@ -122,7 +124,7 @@ class Pictures:
         self._window_blocks, self._rate_hz = window_blocks, rate_hz
         self._block_frames = block_frames
         self._window = self._make_window(self.settings)
-        self._next_window: BlockWindow | GatheredWindow | None = None
+        self._next_window: PictureWindow | None = None
         self._filling = False  # since it began anew
         self._old_blocks = 0  # still to come, which began before the next window
         self._changed = threading.Condition()
@@ -135,6 +137,9 @@ class Pictures:
     def offer(self, block: LiveBlock, /) -> None:
         """Take the next block; never waits for reconstruction."""
         with self._changed:
+            if block.instrument != self.instrument:
+                block.give_back()
+                return
             if self._old_blocks:
                 self._old_blocks -= 1
                 block.give_back()
@@ -142,9 +147,8 @@ class Pictures:
             self._waiting.append(block)
             if len(self._waiting) > 1:
                 self.skipped += 1
-            # those beyond the window would drop out of the sum at once; each one occupies memory
             window = self._next_window or self._window
-            while len(self._waiting) > min(window.length, PARTS):
+            while len(self._waiting) > window.most_waiting:  # each one occupies memory
                 self._waiting.popleft().give_back()
             self._changed.notify()
 
@@ -167,14 +171,21 @@ class Pictures:
         self.settings = settings
         return window.least * self._block_frames, self.begin_anew(window)
 
-    def follow(self, run: RunSettings, /) -> None:
-        """Make pictures of a stream that is cut in another way, begun anew.
+    def follow(self, run: RunSettings, instrument: Instrument, /) -> None:
+        """Make pictures of another stream, begun anew.
 
         Parameters
         ----------
         run : RunSettings
             How the stream is cut from now on.
+        instrument : Instrument
+            Instrument of the histograms from now on. If its schedule is another one, there is no
+            calibration until one is given.
         """
+        if instrument != self.instrument:
+            self.calibration = self.latest = None
+            with self._changed:
+                self.instrument = instrument
         self._window_blocks, self._rate_hz = run.window_blocks, run.rate_hz
         self._block_frames = run.block_frames
         self.change(self.settings)
@@ -191,12 +202,12 @@ class Pictures:
             self._distinct_frames = distinct_frames
             self.change(self.settings)
 
-    def begin_anew(self, window: BlockWindow | GatheredWindow, /) -> int:
+    def begin_anew(self, window: PictureWindow, /) -> int:
         """Sum only blocks that begin from now on.
 
         Parameters
         ----------
-        window : BlockWindow or GatheredWindow
+        window : PictureWindow
             Window that sums the blocks from now on.
 
         Returns
@@ -238,15 +249,14 @@ class Pictures:
             if not blocks:
                 continue
             begun_s = time.monotonic()
-            for block in blocks:
-                self._window.add(block)
+            self._window.add_all(blocks)
             if self._filling:  # no pixel may keep an estimate from fewer or older photons
                 self._fitter = self._new_fitter()
-                self._filling = isinstance(self._window, BlockWindow) and not self._window.full
+                self._filling = not self._window.full
             if self._is_wanted(begun_s):
                 self._make(blocks[-1], self._window.histogram(), self._window, begun_s)
 
-    def _make_window(self, settings: PictureSettings) -> BlockWindow | GatheredWindow:
+    def _make_window(self, settings: PictureSettings) -> PictureWindow:
         if settings.integration_s == 0:
             frames = settings.frames
             if frames:
@@ -274,11 +284,11 @@ class Pictures:
         self,
         newest: LiveBlock,
         histogram: Counts,
-        window: BlockWindow | GatheredWindow,
+        window: PictureWindow,
         begun_s: float,
     ) -> None:
-        frames = window.frames_by_pixel if isinstance(window, GatheredWindow) else window.frames
-        image = self._reconstruct(histogram, newest.kind, frames)
+        frames = window.frames_by_pixel
+        image = self._reconstruct(histogram, newest, frames)
         with self._changed:
             self.made, self._making = self.made + 1, False
         clock_hz = newest.block.clock_hz
@@ -301,10 +311,13 @@ class Pictures:
         self.thread.recovered()
 
     def _reconstruct(
-        self, histogram: Counts, kind: str, frames: int | NDArray[np.int64]
+        self, histogram: Counts, newest: LiveBlock, frames: int | NDArray[np.int64]
     ) -> xr.Dataset | None:
+        # in this order: `follow` takes the calibration away before it changes the instrument
         calibration, method = self.calibration, self.settings.method
-        if calibration is None or kind not in ("scene", "reference"):
+        if calibration is None or newest.kind not in ("scene", "reference"):
+            return None
+        if newest.instrument != self.instrument:
             return None
         try:
             if method == "joint":

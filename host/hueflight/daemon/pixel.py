@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hueflight.calibration import Calibration
+from hueflight.daemon.materials import PictureMaterials
 from hueflight.daemon.picture import Picture
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
@@ -25,6 +26,7 @@ def inspect(
     *,
     row: int,
     col: int,
+    materials: PictureMaterials | None = None,
 ) -> dict[str, Any]:
     """Return all that is known about a pixel; unknown numbers are None.
 
@@ -40,6 +42,8 @@ def inspect(
         Row of the pixel.
     col : int
         Column of the pixel.
+    materials : PictureMaterials, optional
+        Computes abundances and indices.
 
     Returns
     -------
@@ -57,7 +61,8 @@ def inspect(
     if not (0 <= row < rows and 0 <= col < cols):
         raise PixelError(f"pixel ({row}, {col}) is outside the picture of {rows} × {cols}")
     bins = calibration.bins if calibration is not None else instrument.time_bins()
-    counts = bins.in_time_order(picture.histogram[row, col])
+    histogram = picture.histogram  # empty if only the image is known
+    counts = bins.in_time_order(histogram[row, col]) if histogram.size else histogram
     found: dict[str, Any] = {
         "row": row,
         "col": col,
@@ -72,16 +77,18 @@ def inspect(
         "quality": [],
         "bands": [],
         "windows": [],
+        "materials": [],
     }
     image = picture.image
-    if image is None or calibration is None:
+    if image is None:
         return found
     flags = int(image["quality"].values[row, col])
+    background = image.get("background", image["depth"] * np.nan)
     depth = _number(image["depth"].values[row, col])
     found |= {
         "depth_m": depth,
         "depth_std_m": _number(image["depth_std"].values[row, col]),
-        "background": _number(image["background"].values[row, col]),
+        "background": _number(background.values[row, col]),
         "quality": [(flag.name or "").lower() for flag in Quality if flags & int(flag)],
         "bands": [
             {
@@ -90,7 +97,12 @@ def inspect(
             }
             for band in range(len(instrument.bands))
         ],
-        "windows": _windows(calibration, row, col, depth),
+        "windows": [] if calibration is None else _windows(calibration, row, col, depth),
+        "materials": (
+            []
+            if materials is None
+            else materials.of(image.isel(row=slice(row, row + 1), col=slice(col, col + 1)))
+        ),
     }
     return found
 

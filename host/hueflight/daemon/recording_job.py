@@ -124,8 +124,7 @@ class RecordingJob:
             no calibration to compute uncertainties with.
         """
         with self._lock:
-            if self._name:
-                raise CaptureError(f"recording {self._name!r} is in progress: end it first")
+            self.check_idle()
             self._check_free()
             calibration = self._calibration()
             if until is not None and calibration is None:
@@ -185,7 +184,7 @@ class RecordingJob:
         """
         with self._lock:
             if self._name in names:
-                raise CaptureError(f"recording {self._name!r} is in progress: end it first")
+                self.check_idle()
             yield
 
     def end(self) -> str:

@@ -191,8 +191,8 @@ class ServerConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
                     "operator; give both"
                 )
             return Tokens()
-        operator = _read_token(self.token_file)
-        viewer = _read_token(self.viewer_token_file) if self.viewer_token_file else None
+        operator = read_token(self.token_file)
+        viewer = read_token(self.viewer_token_file) if self.viewer_token_file else None
         if viewer == operator:
             raise ConfigError(
                 f"{self.token_file} and {self.viewer_token_file} hold the same token: viewers "
@@ -201,7 +201,24 @@ class ServerConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return Tokens(operator, viewer)
 
 
-def _read_token(file: str) -> str:
+def read_token(file: str, /) -> str:
+    """Return the token in a file.
+
+    Parameters
+    ----------
+    file : str
+        Path of the file.
+
+    Returns
+    -------
+    str
+        The token.
+
+    Raises
+    ------
+    ConfigError
+        If the file can't be read, others can read it, or it holds no token.
+    """
     path = Path(file).expanduser()
     try:
         token = path.read_text("ascii").strip()
@@ -215,3 +232,18 @@ def _read_token(file: str) -> str:
             f"the token in {path} must be at least {MIN_TOKEN_LENGTH} letters, digits and '-_.~'"
         )
     return token
+
+
+class CameraConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Another daemon, whose camera is shown beside this one's.
+
+    Attributes
+    ----------
+    address : str
+        ``HOST:PORT``, or the address of its page.
+    token_file : str
+        File with a token of that daemon; empty if it requires none.
+    """
+
+    address: str
+    token_file: str = ""

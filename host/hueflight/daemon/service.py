@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -19,15 +20,21 @@ from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.calibration import Calibration
 from hueflight.color.live_color import LiveColor
 from hueflight.daemon.calibration_job import CalibrationJob
+from hueflight.daemon.cameras import Cameras
+from hueflight.daemon.check_job import CheckJob
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.disk_watch import DiskWatch
 from hueflight.daemon.finisher import Finisher
 from hueflight.daemon.latency import LatencyMeter
+from hueflight.daemon.materials import PictureMaterials
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.pictures import Pictures
+from hueflight.daemon.playback import Playback
 from hueflight.daemon.rate_meter import RateMeter
 from hueflight.daemon.recording_job import RecordingJob
+from hueflight.daemon.recording_pictures import RecordingPictures
 from hueflight.daemon.recordings_folder import RecordingsFolder
+from hueflight.daemon.results_folder import ResultsFolder
 from hueflight.daemon.simulated_part import SimulatedPart
 from hueflight.daemon.status import (
     calibration_status,
@@ -37,6 +44,7 @@ from hueflight.daemon.status import (
     picture_status,
     recording_status,
     run_status,
+    stated_schedule,
 )
 from hueflight.daemon.stream_settings import run_settings
 from hueflight.devices.rig import Connect
@@ -64,6 +72,8 @@ class Service:
 
     Attributes
     ----------
+    stated, instrument : Instrument
+        The instrument as it is configured, and with the schedule that its LEDs have at present.
     acquisition : Acquisition
         Runs the camera.
     pictures : Pictures
@@ -72,16 +82,26 @@ class Service:
         Begins and ends recordings.
     calibration_job : CalibrationJob
         Takes and uses calibrations.
+    check_job : CheckJob
+        Checks and corrects the calibration in use.
     folder : RecordingsFolder
         Folder of the recordings.
     disk : DiskWatch
         Knows whether that folder is there and has room.
     finisher : Finisher
         Finishes recordings that were cut off.
+    results : ResultsFolder
+        Folder of images and counts that the page shows.
+    cameras : Cameras
+        The other daemons that the configuration names.
+    playback : Playback
+        Makes pictures of recordings and results.
     simulated_part : SimulatedPart
-        Calibrates a simulated camera, and unplugs it.
+        Calibrates a simulated camera, unplugs it, and changes what it sees.
     live_color : LiveColor
         Colours of live pictures.
+    materials : PictureMaterials
+        Abundances and indices of live pictures.
     latencies : LatencyMeter
         Times from last photon to display.
     viewers : int
@@ -97,14 +117,20 @@ class Service:
         *,
         on_picture: Callable[[Picture], None],
     ) -> None:
-        self.config, self.instrument = config, instrument
+        self.config, self.stated = config, instrument
+        self.instrument, self._fingerprint = instrument, instrument.fingerprint()
+        self._using = threading.RLock()  # so that no calibration is used of an earlier schedule
         self.folder = RecordingsFolder(config.folder / "recordings")
         self.disk = DiskWatch(self.folder.root)
-        self.finisher = Finisher(self.folder)
+        pictures_in_recordings = RecordingPictures(
+            config.recording.foxglove_hz, calibration=lambda: self.pictures.calibration
+        )
+        self.finisher = Finisher(self.folder, on_finished=pictures_in_recordings.add)
         self._events: Counter[str] = Counter()
         self.rates = RateMeter()
         self.latencies = LatencyMeter()
         self.live_color = LiveColor(instrument)
+        self.materials = PictureMaterials(config.materials, instrument)
         self.viewers = 0
         self._started_s = time.monotonic()
         self.settings = run_settings(config, instrument)
@@ -136,15 +162,33 @@ class Service:
             calibration_name=lambda: self.calibration_job.name,
             controls=lambda: describe_controls(self.acquisition.controls),
             on_ended=self.finisher.finish,
-            check_free=lambda: self.calibration_job.check_idle(),
+            check_free=lambda: self._check_captures_idle(),
         )
+        folder = config.folder / "calibrations"
         self.calibration_job = CalibrationJob(
             self.acquisition,
-            config.folder / "calibrations",
+            folder,
             use=self._use,
-            check_free=self.recording_job.check_idle,
+            check_free=self._check_free_for_calibration,
+        )
+        self.check_job = CheckJob(
+            self.acquisition,
+            folder,
+            calibration=lambda: self.pictures.calibration,
+            use=self.calibration_job.use_corrected,
+            check_free=self._check_free_for_check,
         )
         self.calibration_job.load_latest(instrument)
+        self.results = ResultsFolder(config.folder / "results")
+        self.playback = Playback(
+            self.folder,
+            self.results,
+            config.folder / "calibrations",
+            instrument,
+            calibration=lambda: self.pictures.calibration,
+            method=lambda: self.pictures.settings.method,
+        )
+        self.cameras = Cameras(config.cameras)
         self.simulated_part = SimulatedPart(
             self.acquisition, self.pictures, use=self.calibration_job.use_simulated
         )
@@ -156,9 +200,22 @@ class Service:
         (log.error if failed else log.info)(name, **details)
 
     def _use(self, calibration: Calibration) -> None:
-        calibration.require(self.instrument)
-        self.live_color = LiveColor(self.instrument, calibration.emission)
-        self.pictures.calibration = calibration
+        with self._using:
+            calibration.require(self.instrument)
+            self.live_color = LiveColor(self.instrument, calibration.emission)
+            self.pictures.calibration = calibration
+
+    def _check_captures_idle(self) -> None:
+        self.calibration_job.check_idle()
+        self.check_job.check_idle()
+
+    def _check_free_for_calibration(self) -> None:
+        self.recording_job.check_idle()
+        self.check_job.check_idle()
+
+    def _check_free_for_check(self) -> None:
+        self.recording_job.check_idle()
+        self.calibration_job.check_idle()
 
     def start(self) -> None:
         """Start the live run.
@@ -166,9 +223,9 @@ class Service:
         Raises
         ------
         CaptureError
-            If a calibration is in progress.
+            If a calibration, or a check of it, is in progress.
         """
-        self.calibration_job.check_idle()
+        self._check_captures_idle()
         self.acquisition.set_live(LIVE)
 
     def change_pictures(
@@ -217,9 +274,9 @@ class Service:
         Raises
         ------
         CaptureError
-            If a calibration is in progress, whose captures must not end early.
+            If a calibration, or a check of it, is in progress, whose captures must not end early.
         """
-        self.calibration_job.check_idle()
+        self._check_captures_idle()
         self.acquisition.set_live(None)
         self.acquisition.stop()
 
@@ -229,11 +286,15 @@ class Service:
         return (
             describe_controls(self.acquisition.controls)
             | {"actual_rate_hz": snapshot.rate_hz}
-            | {"limits": describe_limits(self.instrument, snapshot.timing)}
+            | {"default_schedule": stated_schedule(self.stated)}
+            | {"limits": describe_limits(self.instrument, snapshot)}
         )
 
     def set_controls(self, **changes: Any) -> None:
-        """Change frame rate, pixels or codes of the camera; the live run begins again.
+        """Change schedule, frame rate, pixels or codes; the live run begins again.
+
+        A calibration belongs to the schedule with which it was made. After a change the newest
+        one that fits is used; without one pictures show photons only.
 
         Parameters
         ----------
@@ -243,19 +304,32 @@ class Service:
         Raises
         ------
         CaptureError
-            If a recording or a calibration is in progress.
-        DeviceError
+            If a recording, a calibration or a check of it is in progress.
+        HueflightError
             If a value is out of its range.
         """
         with self.recording_job.keep_off():
             self.recording_job.check_idle()
-            self.calibration_job.check_idle()
+            self._check_captures_idle()
+            snapshot, stated = self.acquisition.snapshot, self.stated
             controls = replace(self.acquisition.controls, **changes)
-            controls.check(self.instrument, self.acquisition.snapshot.timing)
-            self.settings = run_settings(self.config, controls.instrument(self.instrument))
-            self.pictures.follow(self.settings)
+            controls = controls.in_ticks(stated, snapshot.capacity)
+            controls.check(stated, snapshot.timing)
+            self.settings = run_settings(self.config, controls.instrument(stated))
+            with self._using:
+                self._follow(controls.scheduled(stated))
             self.acquisition.set_controls(controls, self.settings)
         log.info("controls changed", **describe_controls(controls))
+
+    def _follow(self, instrument: Instrument) -> None:
+        """Show the pictures of the next run, which may have another schedule."""
+        changed = instrument != self.instrument
+        self.instrument, self._fingerprint = instrument, instrument.fingerprint()
+        self.pictures.follow(self.settings, instrument)
+        if changed:
+            self.check_job.forget()
+            self.calibration_job.follow(instrument)
+            self.simulated_part.follow_schedule()
 
     def rename_recording(self, name: str, new_name: str, /) -> None:
         """Give a recording another name.
@@ -307,6 +381,7 @@ class Service:
         return {
             "name": self.config.name,
             "instrument": self.instrument.name,
+            "fingerprint": self._fingerprint,
             "state": "failed" if thread.failure or thread.stuck() else snapshot.state,
             "problem": "; ".join(dict.fromkeys(self._words_about_problems(snapshot))),
             "parts": self.parts(),
@@ -317,6 +392,7 @@ class Service:
             "calibration": calibration_status(
                 self.calibration_job, calibrated=self.pictures.calibration is not None
             ),
+            "check": self.check_job.state.as_dict(),
             "recording": recording_status(self.recording_job, snapshot),
             "latency_s": self.latencies.as_dict(),
             "viewers": self.viewers,
@@ -372,10 +448,11 @@ class Service:
         return max(STALE_S, 3 * interval)
 
     def describe(self) -> dict[str, Any]:
-        """Return the facts about the instrument, which do not change while the daemon runs."""
+        """Return the facts about the instrument, which change with its schedule only."""
         return describe_instrument(self.instrument) | {
             "protocol": PROTOCOL,
             "definition": self.instrument.to_json(),
+            "materials": self.materials.names,
         }
 
     def close(self) -> None:
@@ -384,6 +461,7 @@ class Service:
         self.calibration_job.close()
         self.acquisition.close()
         self.pictures.close()
+        self.playback.close()
         self.finisher.close()
         self.disk.close()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import structlog
@@ -15,14 +15,15 @@ from hueflight.acquisition.runner import Acquisition
 from hueflight.calibration import Calibration
 from hueflight.daemon.pictures import Pictures
 from hueflight.devices.simulation import Simulation
-from hueflight.errors import HueflightError
+from hueflight.errors import CalibrationError, HueflightError
+from hueflight.model.instrument import Instrument
 
 log = structlog.get_logger("hueflight.daemon")
 _LOOK_S = 0.1
 
 
 class SimulatedPart:
-    """Calibrates a simulated camera at the start, and pulls its cable on demand.
+    """Calibrates a simulated camera; moves its scene and pulls its cable on demand.
 
     Parameters
     ----------
@@ -48,7 +49,8 @@ class SimulatedPart:
         use: Callable[[Calibration], None],
     ) -> None:
         self._acquisition, self._pictures, self._use = acquisition, pictures, use
-        self._closing = threading.Event()
+        self._closing, self._one_at_a_time = threading.Event(), threading.Lock()
+        self._calibrating = False
         self.thread = threading.Thread(target=self._prepare, name="simulation", daemon=True)
         self.thread.start()
 
@@ -57,26 +59,50 @@ class SimulatedPart:
         simulation = self._acquisition.simulation
         if simulation is None:
             return None
-        return {"plugged": simulation.plugged, **asdict(simulation.repetition())}
+        return {
+            "plugged": simulation.plugged,
+            **asdict(simulation.repetition()),
+            **asdict(simulation.changes),
+            "delay_ps": simulation.delay_ps,
+            "calibrating": self._calibrating,
+        }
 
-    def plug(self, plugged: bool, /) -> None:
-        """Pull the simulated camera's cable, or plug it in.
+    def change(
+        self,
+        *,
+        plugged: bool | None = None,
+        moving: bool | None = None,
+        drift_ps_per_s: float | None = None,
+    ) -> None:
+        """Pull the simulated camera's cable or plug it in, move its scene, let its delays drift.
 
         Parameters
         ----------
-        plugged : bool
-            False to pull it.
+        plugged : bool, optional
+            False to pull the cable.
+        moving : bool, optional
+            True to have a ball move in front of the scene.
+        drift_ps_per_s : float, optional
+            Picoseconds by which LED light arrives later with every second; 0 takes it back. What is
+            not given stays as it is.
 
         Raises
         ------
         CaptureError
             If the camera is not simulated.
+        DeviceError
+            If the camera repeats frames, in which nothing can move or drift.
         """
         simulation = self._acquisition.simulation
         if simulation is None:
-            raise CaptureError("the camera is not simulated: only its own cable unplugs it")
-        simulation.plugged = plugged
-        log.info("simulated camera", plugged=plugged)
+            raise CaptureError("the camera is not simulated: it sees what is in front of it")
+        wanted = {"moving": moving, "drift_ps_per_s": drift_ps_per_s}
+        changes = {name: value for name, value in wanted.items() if value is not None}
+        if changes:
+            simulation.change(replace(simulation.changes, **changes))
+        if plugged is not None:
+            simulation.plugged = plugged
+        log.info("simulated camera", plugged=simulation.plugged, **asdict(simulation.changes))
 
     def close(self) -> None:
         """Do not look for a simulated camera any more."""
@@ -90,16 +116,34 @@ class SimulatedPart:
         if simulation is None:
             return
         self._pictures.limit_frames(simulation.repetition().distinct_frames)
-        if self._pictures.calibration is None:
-            self._calibrate(simulation)
+        self._calibrate(simulation)
+
+    def follow_schedule(self) -> None:
+        """Calibrate a simulated camera for a schedule that was changed, if nothing fits it."""
+        simulation = self._acquisition.simulation
+        if simulation is not None:
+            threading.Thread(
+                target=self._calibrate, args=(simulation,), name="simulation", daemon=True
+            ).start()
 
     def _calibrate(self, simulation: Simulation) -> None:
+        with self._one_at_a_time:
+            if self._pictures.calibration is None and not self._closing.is_set():
+                self._calibrating = True
+                self._make_calibration(simulation, self._pictures.instrument)
+                self._calibrating = False
+
+    def _make_calibration(self, simulation: Simulation, instrument: Instrument) -> None:
         try:
-            calibration = simulation.calibrate()
-        except (HueflightError, OSError, RuntimeError) as error:  # RuntimeError: the program ends
+            calibration = simulation.calibrate(instrument)
+        except (HueflightError, OSError) as error:
             if not self._closing.is_set():
                 log.error("the simulated camera can't be calibrated", reason=str(error))
             return
-        if self._pictures.calibration is None and not self._closing.is_set():
+        if self._pictures.calibration is not None or self._closing.is_set():
+            return
+        try:
             self._use(calibration)
-            log.info("simulated calibration", distance=calibration.distance)
+        except CalibrationError:
+            return  # the schedule was changed meanwhile, and `follow_schedule` was called
+        log.info("simulated calibration", distance=calibration.distance)

@@ -3,22 +3,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
-
-import numpy as np
 
 from hueflight.acquisition.plan import Gap
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.daemon.calibration_job import CalibrationJob
-from hueflight.daemon.picture import Picture
 from hueflight.daemon.pictures import Pictures
 from hueflight.daemon.recording_job import RecordingJob
-from hueflight.devices.camera_controls import MIN_RATE_HZ, CameraControls, CameraTiming
+from hueflight.devices.camera_controls import MIN_RATE_HZ, CameraControls
 from hueflight.devices.illumination import GUIDANCE
-from hueflight.model.instrument import Instrument
+from hueflight.devices.pulse_schedule import Capacity
+from hueflight.model.instrument import Instrument, Sensor
+from hueflight.model.schedules import Schedule
 from hueflight.reconstruction.entry_point import METHODS
 from hueflight.reconstruction.quality import Quality
+from hueflight_protocol.illuminator_map import MAX_PERIOD_TICKS
+
+_NO_FRAMES = {"least": 0, "median": 0, "most": 0}
 
 
 def run_status(snapshot: Snapshot, /) -> dict[str, Any]:
@@ -72,19 +74,7 @@ def picture_status(pictures: Pictures, /, *, now_s: float, stale_after_s: float)
         "method": pictures.settings.method,
         "methods": list(METHODS),
         "integration_s": pictures.settings.integration_s,  # infinity becomes null in JSON
-        "frames": _spread_of_frames(picture),
-    }
-
-
-def _spread_of_frames(picture: Picture | None) -> dict[str, int]:
-    """Frames behind the pixels of a picture: of the fewest, of half of them, and the most."""
-    if picture is None:
-        return {"least": 0, "median": 0, "most": 0}
-    frames = picture.frames_by_pixel
-    return {
-        "least": int(frames.min()),
-        "median": int(np.median(frames)),
-        "most": picture.frames,
+        "frames": _NO_FRAMES if picture is None else picture.spread_of_frames,
     }
 
 
@@ -114,20 +104,39 @@ def recording_status(job: RecordingJob, snapshot: Snapshot, /) -> dict[str, Any]
 
 
 def describe_controls(controls: CameraControls, /) -> dict[str, Any]:
-    """Return what of the camera may be changed, as JSON holds it."""
-    return asdict(controls) | {"leaves_out": controls.leaves_out}
+    """Return what of camera and LEDs may be changed, as JSON holds it."""
+    described = asdict(replace(controls, reduction=None)) | {"leaves_out": controls.leaves_out}
+    del described["reduction"]
+    return described
 
 
-def describe_limits(instrument: Instrument, timing: CameraTiming | None, /) -> dict[str, Any]:
-    """Return the limits of the controls; the highest rate is None while no camera was there."""
-    sensor = instrument.sensor
+def describe_limits(instrument: Instrument, snapshot: Snapshot, /) -> dict[str, Any]:
+    """Return the limits of the controls; None where no board that has them was there."""
+    sensor, timing, capacity = instrument.sensor, snapshot.timing, snapshot.capacity
     most = None if timing is None else timing.max_rate_hz(instrument)
     return {
         "rate_hz": [MIN_RATE_HZ, most],
         "rows": [0, sensor.rows - 1],
         "cols": [0, sensor.cols - 1],
         "gate": [0, sensor.codes - 1],
+        "schedule": None if capacity is None else _limits_of_schedules(sensor, capacity),
     }
+
+
+def _limits_of_schedules(sensor: Sensor, capacity: Capacity) -> dict[str, Any]:
+    tick_ns = capacity.tick_ns
+    codes = sensor.codes - sensor.reports_empty  # a period must fit into these
+    longest = min(MAX_PERIOD_TICKS, int(codes * sensor.bin_width_ns / tick_ns))
+    return {
+        "tick_ns": tick_ns,
+        "period_ns": [ticks * tick_ns for ticks in (capacity.min_period_ticks, longest)],
+        "pulses": capacity.pulses,
+    }
+
+
+def stated_schedule(instrument: Instrument, /) -> dict[str, Any] | None:
+    """Return the schedule that an instrument states; None if it has no period."""
+    return None if instrument.timing.period_ns is None else asdict(Schedule.of(instrument))
 
 
 def describe_instrument(instrument: Instrument, /) -> dict[str, Any]:

@@ -41,12 +41,11 @@ def status_lines(now: Mapping[str, Any], before: Mapping[str, Any] | None, /) ->
     list of StatusLine
         State of the camera, problem, lost frames, recording and calibration, as far as changed.
     """
-    lines = [_state(now), _problem(now), _losses(now), _recording(now), _calibration(now)]
-    old = [None] * len(lines) if before is None else [
-        _state(before), _problem(before), _losses(before), _recording(before),
-        _calibration(before),
-    ]  # fmt: skip
-    return [line for line, earlier in zip(lines, old, strict=True) if line and line != earlier]
+    found = [
+        (line_of(now), None if before is None else line_of(before))
+        for line_of in (_state, _problem, _losses, _recording, _calibration)
+    ]
+    return [line for line, earlier in found if line is not None and line != earlier]
 
 
 def _state(status: Mapping[str, Any]) -> StatusLine:

@@ -196,7 +196,7 @@ def _about(image: xr.Dataset | None, instrument: Instrument) -> dict[str, str]:
 def _facts(image: xr.Dataset | None, instrument: Instrument) -> dict[str, str]:
     known = {key: str(value) for key, value in instrument.facts().items() if value is not None}
     if image is not None:
-        for key in ("method", "reference_distance_m", "software", "recording"):
+        for key in ("method", "reference_distance_m", "exposures", "software", "recording"):
             if key in image.attrs:
                 known[key] = str(image.attrs[key])
     return known

@@ -15,7 +15,12 @@ from hueflight.devices.errors import (
     RequestError,
     WrongDeviceError,
 )
-from hueflight.devices.illumination import CaptureKind, Illumination, NoIllumination
+from hueflight.devices.illumination import (
+    CaptureKind,
+    Illumination,
+    NoIllumination,
+    ScheduledIllumination,
+)
 from hueflight.devices.rig import (
     Connect,
     Rig,
@@ -52,6 +57,7 @@ __all__ = [
     "RigAddressError",
     "RigOpener",
     "RigPart",
+    "ScheduledIllumination",
     "Stream",
     "StreamStatistics",
     "Transport",

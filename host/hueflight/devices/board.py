@@ -91,6 +91,11 @@ class Board:
         Longest time to wait for one answer, in seconds.
     attempts : int
         Number of times that a request which may be repeated is sent before giving up.
+
+    Attributes
+    ----------
+    repeated : int
+        Times that a request was sent again because no whole answer had come.
     """
 
     def __init__(
@@ -104,6 +109,7 @@ class Board:
     ) -> None:
         self.transport = transport
         self.registers = registers
+        self.repeated = 0
         self._timeout_s = timeout_s
         self._attempts = attempts
         self._numbers = count(1)
@@ -330,7 +336,8 @@ class Board:
         message = encode_request(request)
         attempts = self._attempts if repeat else 1
         with self._lock:
-            for _ in range(attempts):
+            for attempt in range(attempts):
+                self.repeated += attempt > 0
                 self.transport.send(message)
                 response = self._answer(request)
                 if response is not None:

@@ -96,7 +96,7 @@ def open_illumination(
     instrument : Instrument
         Instrument whose LEDs it drives.
     baud : int, optional
-        Line rate in bits per second, by default the gateware's.
+        Line rate in bits per second; by default it is found by asking the board.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def open_illumination(
     from hueflight.devices.illuminator import open_illuminator
     from hueflight.devices.illuminator_driver import IlluminatorDriver
 
-    board = open_illuminator(port) if baud is None else open_illuminator(port, baud=baud)
+    board = open_illuminator(port, baud=baud)
     try:
         return IlluminatorDriver(board, instrument)
     except HueflightError as error:

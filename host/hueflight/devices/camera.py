@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,12 @@ from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import DeviceError, WrongDeviceError
+from hueflight.devices.reduction import load_reduction, stop_reduction
 from hueflight.devices.simulation import Simulation
 from hueflight.devices.transports.interface import Transport
 from hueflight.devices.transports.stream import Stream, StreamStatistics
 from hueflight.model.instrument import Instrument
-from hueflight_protocol import camera_map
+from hueflight_protocol import ReductionRoom, RegisterMap, camera_map
 from hueflight_protocol.camera_map import BOARD
 from hueflight_protocol.typed_registers import camera as registers
 from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
@@ -113,19 +115,23 @@ class Camera:
         )
         self.rows, self.cols = geometry.rows, geometry.cols
         self.code_bits, self.lanes, self.run = form.code_bits, form.lanes, form.run
-        self.board = Board(
-            transport,
-            camera_map(
-                rows=self.rows,
-                cols=self.cols,
-                code_bits=self.code_bits,
-                lanes=self.lanes,
-                run=self.run,
-                geometry=number.value,
-                clock_hz=self.identity.clock_hz,
-            ),
-        )
+        self.board = Board(transport, self._map(probe, number.value))
         self.board.check_map()
+
+    def _map(self, probe: Board, geometry: int) -> RegisterMap:
+        """Register map of the build: with the reduction to sums, if the board says so."""
+        build = partial(
+            camera_map, rows=self.rows, cols=self.cols, code_bits=self.code_bits,
+            lanes=self.lanes, run=self.run, geometry=geometry, clock_hz=self.identity.clock_hz,
+        )  # fmt: skip
+        plain, reducing = build(), build(reduction=ReductionRoom())
+        told = probe.read(registers.Map).value
+        return reducing if told == reducing.fingerprint else plain
+
+    @property
+    def can_reduce(self) -> bool:
+        """Whether the camera can reduce codes to sums."""
+        return registers.Reduction.ADDRESS in self.board.registers
 
     def require(self, instrument: Instrument) -> None:
         """Compare the sensor with an instrument's.
@@ -179,6 +185,8 @@ class Camera:
         ------
         WrongDeviceError
             If the instrument describes another sensor, or asks for what the camera can't do.
+        DeviceError
+            If sums are asked for and the camera has no room for them.
         """
         self.require(instrument)
         settings = self.timing.settings(controls.instrument(instrument))
@@ -188,6 +196,10 @@ class Camera:
         self.board.write(registers.Readout(settings.overlap))
         self.board.write(registers.StatusInterval(settings.status_interval))
         self._leave_out(instrument, controls)
+        if controls.reduction is None:
+            stop_reduction(self.board)
+        else:
+            load_reduction(self.board, controls.reduction, pixels=self.rows * self.cols)
         return settings
 
     def _leave_out(self, instrument: Instrument, controls: CameraControls) -> None:

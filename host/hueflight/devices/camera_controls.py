@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a camera may be changed between runs: frame rate, and the pixels and codes it sends."""
+"""What may be changed between runs: schedule, frame rate, pixels and codes that are sent."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from hueflight.devices.camera_settings import CameraSettings
 from hueflight.devices.errors import DeviceError
+from hueflight.devices.pulse_schedule import Capacity, PulseSchedule, to_ticks
+from hueflight.devices.reduction import Reduction
 from hueflight.model.instrument import Instrument, Sensor
+from hueflight.model.schedules import Schedule
 
 Span = tuple[int, int]
 MIN_RATE_HZ = 0.1
@@ -80,10 +83,10 @@ class CameraTiming:
 
 @dataclass(frozen=True)
 class CameraControls:
-    """What of a camera may be changed between runs.
+    """What of a camera and its LEDs may be changed between runs.
 
     What is left out is not sent: its pixels have no photons. A calibration remains valid, because
-    exposures stay the same.
+    exposures stay the same, unless the schedule is changed: then it belongs to another instrument.
 
     Attributes
     ----------
@@ -95,6 +98,10 @@ class CameraControls:
         First and last code that is sent; None for all.
     masked : tuple of (row, col)
         Pixels that are not sent, such as hot ones.
+    schedule : Schedule or None
+        When each LED fires; None for the delays and the period of the instrument.
+    reduction : Reduction or None
+        Tables with which the camera reduces its codes to sums; None to have it send codes.
     """
 
     rate_hz: float | None = None
@@ -102,11 +109,18 @@ class CameraControls:
     cols: Span | None = None
     gate: Span | None = None
     masked: tuple[tuple[int, int], ...] = ()
+    schedule: Schedule | None = None
+    reduction: Reduction | None = None
 
     @property
     def leaves_out(self) -> bool:
         """True if pixels or codes are not sent."""
         return bool(self.rows or self.cols or self.gate or self.masked)
+
+    @property
+    def sends_sums_only(self) -> bool:
+        """True if the camera sends sums and no codes."""
+        return self.reduction is not None and not self.reduction.with_codes
 
     def check(self, instrument: Instrument, timing: CameraTiming | None, /) -> None:
         """Refuse what an instrument's camera can't do.
@@ -140,20 +154,74 @@ class CameraControls:
                     f"masked: pixel {row}, {col} lies outside the sensor of {sensor.rows} × "
                     f"{sensor.cols} pixels"
                 )
+        if self.schedule is not None and timing is not None:
+            timing.settings(self.scheduled(instrument))
         if self.rate_hz is None:
             return
         if not self.rate_hz >= MIN_RATE_HZ:
             raise DeviceError(f"rate_hz = {self.rate_hz}: must be at least {MIN_RATE_HZ}")
         if timing is not None:
-            most = timing.max_rate_hz(instrument)
+            most = timing.max_rate_hz(self.scheduled(instrument))
             if self.rate_hz > most:
                 raise DeviceError(
                     f"rate_hz = {self.rate_hz:g}: this camera takes at most {most:.6g} frames per "
                     f"second at exposures of {sensor.exposure_ms or 1.0:g} ms"
                 )
 
+    def in_ticks(self, instrument: Instrument, capacity: Capacity | None, /) -> CameraControls:
+        """Return these controls with the schedule as the illuminator plays it.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument without them.
+        capacity : Capacity or None
+            Limits of the illuminator; None if there is none whose schedule could be changed.
+
+        Returns
+        -------
+        CameraControls
+            The same, with delays and period in whole ticks.
+
+        Raises
+        ------
+        DeviceError
+            If the schedule can't be changed.
+        HueflightError
+            If the schedule does not suit the instrument or the limits.
+        """
+        if self.schedule is None:
+            return self
+        scheduled = self.scheduled(instrument)
+        if capacity is None:
+            raise DeviceError(
+                "schedule: no illuminator is connected whose schedule could be changed"
+            )
+        played = to_ticks(PulseSchedule.of(scheduled), capacity).in_ns
+        return replace(self, schedule=None if played == Schedule.of(instrument) else played)
+
+    def scheduled(self, instrument: Instrument, /) -> Instrument:
+        """Return an instrument with the schedule of these controls.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument without them.
+
+        Returns
+        -------
+        Instrument
+            The same, or a changed copy.
+
+        Raises
+        ------
+        InstrumentError
+            If the schedule does not suit the instrument.
+        """
+        return instrument if self.schedule is None else self.schedule.applied_to(instrument)
+
     def instrument(self, instrument: Instrument, /) -> Instrument:
-        """Return an instrument with the frame rate of these controls.
+        """Return an instrument with the schedule and the frame rate of these controls.
 
         Parameters
         ----------
@@ -165,7 +233,8 @@ class CameraControls:
         Instrument
             The same, or a changed copy.
         """
-        return instrument if self.rate_hz is None else _with_rate(instrument, self.rate_hz)
+        made = self.scheduled(instrument)
+        return made if self.rate_hz is None else _with_rate(made, self.rate_hz)
 
     def mask(self, sensor: Sensor, /) -> NDArray[np.bool_]:
         """Return the pixels that are masked, as an array.

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from hueflight.devices.errors import DeviceNotFoundError
+from hueflight.devices.pulse_schedule import Capacity
+from hueflight.model.instrument import Instrument
 
 CaptureKind = Literal["scene", "reference", "bands", "dark", "flat"]
 
@@ -55,6 +57,31 @@ class Illumination(Protocol):
 
     def close(self) -> None:
         """Turn the LEDs off and release the device."""
+        ...
+
+
+@runtime_checkable
+class ScheduledIllumination(Illumination, Protocol):
+    """Illumination whose pulse schedule can be changed between runs."""
+
+    @property
+    def capacity(self) -> Capacity:
+        """Limits of the schedules that it plays."""
+        ...
+
+    def load_schedule(self, instrument: Instrument, /) -> None:
+        """Play the schedule that an instrument states from the next `prepare` on.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            States the delays of the bands and the period.
+
+        Raises
+        ------
+        DeviceError
+            If the LEDs can't do it, or the device does not answer.
+        """
         ...
 
 

@@ -7,9 +7,12 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from itertools import cycle
+from pathlib import Path
 
+from hueflight.devices import clock_choice
 from hueflight.devices.board import Board, BoardIdentity
-from hueflight.devices.errors import DeviceError, DeviceTimeoutError
+from hueflight.devices.clock_choice import ClockState
+from hueflight.devices.errors import DeviceTimeoutError
 from hueflight.devices.illuminator_state import (
     IlluminatorFaults,
     IlluminatorState,
@@ -26,7 +29,8 @@ from hueflight.devices.pulse_schedule import (
 )
 from hueflight.devices.sequencer_program import ProgramStep
 from hueflight.devices.transports.interface import Transport
-from hueflight.devices.transports.serial import BAUD, SerialPort, SerialTransport
+from hueflight.devices.transports.replay import RecordingTransport
+from hueflight.devices.transports.serial import BAUD, SerialPort, SerialTransport, find_baud
 from hueflight_protocol import illuminator_map
 from hueflight_protocol.control import MAX_TRANSACTION, MAX_WORDS, write
 from hueflight_protocol.illuminator_map import (
@@ -72,10 +76,11 @@ class Illuminator:
         # block writes take their transaction numbers from the upper half, which single requests
         # reach only after many thousands
         self._numbers = cycle(range((MAX_TRANSACTION + 1) // 2, MAX_TRANSACTION + 1))
-        # identity and capacity are the same in every build; the map needs the capacity first
-        probe = Board(transport, illuminator_map(), timeout_s=timeout_s)
+        # identity, capacity and features are the same in every build; the map needs them first
+        probe = Board(transport, illuminator_map(external_clock=True), timeout_s=timeout_s)
         self.identity: BoardIdentity = probe.identify(BOARD)
         size, tick = probe.read_together(registers.Capacity, registers.TickFs)
+        reference_hz = clock_choice.read_reference_hz(probe)
         self.board = Board(
             transport,
             illuminator_map(
@@ -85,6 +90,8 @@ class Illuminator:
                 lanes=size.lanes,
                 tick_fs=tick.value,
                 clock_hz=self.identity.clock_hz,
+                external_clock=reference_hz is not None,
+                reference_hz=reference_hz or 0,
             ),
             timeout_s=timeout_s,
         )
@@ -345,6 +352,46 @@ class Illuminator:
         """Do what the camera's frame sync does."""
         self.board.write(registers.SequencerControl(sync=1))
 
+    # -- the clock ----------------------------------------------------------------------------
+
+    def clock(self) -> ClockState:
+        """Read which clock the board runs from.
+
+        Returns
+        -------
+        ClockState
+            The clock in use, and whether there is an external one.
+        """
+        return clock_choice.read_clock(self.board)
+
+    def choose_clock(
+        self, source: clock_choice.ClockName, /, *, timeout_s: float = 0.5
+    ) -> ClockState:
+        """Run from the board's oscillator or from an external clock.
+
+        A change disarms the board and stops its clocks for some milliseconds; LEDs are off.
+        Afterwards the fault ``clock_failed``, which such a change sets, is cleared.
+
+        Parameters
+        ----------
+        source : {"internal", "external"}
+            The clock.
+        timeout_s : float
+            Longest time for the change, in seconds.
+
+        Returns
+        -------
+        ClockState
+            State after the change.
+
+        Raises
+        ------
+        DeviceError
+            If the board has no external clock, none of the right frequency is there, or it fails
+            during the change.
+        """
+        return clock_choice.choose_clock(self.board, source, timeout_s=timeout_s)
+
     # -- what the board reports ---------------------------------------------------------------
 
     def state(self) -> IlluminatorState:
@@ -414,6 +461,7 @@ class Illuminator:
             trigger_ignored=bool(found.trigger_ignored),
             saturated=bool(found.saturated),
             clock_failed=bool(found.clock_failed),
+            reference_lost=bool(found.reference_lost),
             clock_failures=self.board.read(registers.ClockFailures).value,
         )
 
@@ -423,8 +471,8 @@ class Illuminator:
         self.board.write(registers.Clear(counters=1, phase=1))
         self.board.write(registers.OnLimited(every))
         self.board.write(registers.DutyLimited(every))
-        faults = dict.fromkeys(registers.Faults.field_names(), 1)
-        self.board.write(registers.Faults(**faults))
+        faults = self.board.registers[registers.Faults.NAME]  # of this build
+        self._write_words({faults.address: faults.encode(**dict.fromkeys(faults.fields, 1))})
 
     def close(self) -> None:
         """Turn LEDs off and release the line."""
@@ -487,15 +535,19 @@ class Illuminator:
             self.board.request(request, repeat=True)
 
 
-def open_illuminator(path: str, /, *, baud: int = BAUD) -> Illuminator:
+def open_illuminator(
+    path: str, /, *, baud: int | None = None, record: Path | None = None
+) -> Illuminator:
     """Open the illuminator on a serial port.
 
     Parameters
     ----------
     path : str
         Serial port, such as ``/dev/ttyUSB0``.
-    baud : int
-        Line rate in bits per second.
+    baud : int, optional
+        Line rate in bits per second; by default it is found, see `find_baud`.
+    record : Path, optional
+        File for the transactions with the board, see `transports.replay`.
 
     Returns
     -------
@@ -506,10 +558,17 @@ def open_illuminator(path: str, /, *, baud: int = BAUD) -> Illuminator:
     ------
     DeviceError
         If the port can't be opened, or what answers there is no illuminator.
+    OSError
+        If the file can't be written.
     """
-    line = SerialPort(path, baud=baud)
+    line = SerialPort(path, baud=BAUD if baud is None else baud)
+    transport: Transport = SerialTransport(line)
     try:
-        return Illuminator(SerialTransport(line))
-    except DeviceError:
-        line.close()
+        if baud is None:
+            find_baud(line)
+        if record is not None:
+            transport = RecordingTransport(transport, record)
+        return Illuminator(transport)
+    except BaseException:
+        transport.close()
         raise

@@ -6,7 +6,7 @@ from __future__ import annotations
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.illumination import CaptureKind
 from hueflight.devices.illuminator import Illuminator
-from hueflight.devices.pulse_schedule import PulseSchedule, TickSchedule
+from hueflight.devices.pulse_schedule import Capacity, PulseSchedule, ScheduleError, TickSchedule
 from hueflight.devices.sequencer_program import each_alone
 from hueflight.model.instrument import Instrument
 from hueflight_protocol.illuminator_map import Advance, TriggerSource
@@ -40,8 +40,39 @@ class IlluminatorDriver:
         illuminator.disarm()
         illuminator.stop()
         illuminator.set_trigger(TriggerSource.EXTERNAL)
-        self.schedule: TickSchedule = illuminator.load(PulseSchedule.of(instrument), bank=0)
+        self._wanted = PulseSchedule.of(instrument)
+        self.schedule: TickSchedule = illuminator.load(self._wanted, bank=0)
         illuminator.select(0)
+
+    @property
+    def capacity(self) -> Capacity:
+        """Limits of the schedules that the board plays."""
+        return self._illuminator.capacity
+
+    def load_schedule(self, instrument: Instrument, /) -> None:
+        """Play the schedule that an instrument states from the next `prepare` on.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            States the delays of the bands and the period.
+
+        Raises
+        ------
+        DeviceError
+            If the board can't play it, or does not answer.
+        """
+        wanted = PulseSchedule.of(instrument)
+        if wanted == self._wanted:
+            return
+        board = self._illuminator
+        board.disarm()  # the bank that plays is locked while the board is armed
+        board.stop()
+        try:
+            self.schedule = board.load(wanted, bank=0)
+        except ScheduleError as error:
+            raise DeviceError(f"{self.name} can't play the schedule: {error}") from error
+        self._wanted = wanted
 
     def prepare(self, kind: CaptureKind, frames: int, /) -> None:
         """Set the LEDs up for a capture, before the camera's run begins.

@@ -97,6 +97,9 @@ class IlluminatorFaults:
     clock_failed : bool
         True if the board's clock failed (its PLL lost lock) and the board disarmed itself.
         Registers and schedules may be damaged: write them again before arming.
+    reference_lost : bool
+        True if the external clock was lost while the board ran from it; the board then runs from
+        its oscillator, disarmed.
     clock_failures : int
         Number of failures of the clock since the board was configured; clearing the faults keeps
         it.
@@ -108,4 +111,5 @@ class IlluminatorFaults:
     trigger_ignored: bool
     saturated: bool
     clock_failed: bool
+    reference_lost: bool
     clock_failures: int

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
+from hueflight.model.schedules import Schedule
 from hueflight_protocol.illuminator_map import MAX_PERIOD_TICKS, MIN_PERIOD_CLOCKS
 
 
@@ -188,6 +189,14 @@ class TickSchedule:
     delay_error_ns: float
     width_error_ns: float
     period_error_ns: float
+
+    @property
+    def in_ns(self) -> Schedule:
+        """Delays and period as the board plays them."""
+        delays = tuple(
+            tuple(pulse.delay * self.tick_ns for pulse in pulses) for pulses in self.channels
+        )
+        return Schedule(delays, self.period * self.tick_ns)
 
 
 def to_ticks(schedule: PulseSchedule, capacity: Capacity, /) -> TickSchedule:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from hueflight.calibration import Calibration
+from hueflight.model.instrument import Instrument
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,22 @@ class Repetition:
     repeated: int
 
 
+@dataclass(frozen=True)
+class Changes:
+    """What changes in front of a simulated camera.
+
+    Attributes
+    ----------
+    moving : bool
+        Whether a ball moves from side to side in front of the scene.
+    drift_ps_per_s : float
+        Picoseconds by which all LED light arrives later with every second; 0 takes it back.
+    """
+
+    moving: bool = False
+    drift_ps_per_s: float = 0.0
+
+
 class Simulation(Protocol):
     """A simulated camera from its other side.
 
@@ -37,12 +54,42 @@ class Simulation(Protocol):
 
     plugged: bool
 
+    @property
+    def changes(self) -> Changes:
+        """What changes in front of the camera."""
+        ...
+
+    @property
+    def delay_ps(self) -> float:
+        """Present delay of all LED light by drift, in picoseconds."""
+        ...
+
+    def change(self, changes: Changes, /) -> None:
+        """Let the scene move or delays drift, or end that.
+
+        Raises
+        ------
+        DeviceError
+            If the camera only repeats frames.
+        """
+        ...
+
     def repetition(self) -> Repetition:
         """Return how far frames are photons of their own."""
         ...
 
-    def calibrate(self) -> Calibration:
-        """Return a calibration of the simulated instrument; takes some seconds.
+    def calibrate(self, instrument: Instrument, /) -> Calibration:
+        """Return a calibration of an instrument that is simulated; takes some seconds.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The simulated instrument with the schedule that its LEDs have.
+
+        Returns
+        -------
+        Calibration
+            The calibration.
 
         Raises
         ------

@@ -13,13 +13,18 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hueflight.emulation.frame_bank import FrameSource
 from hueflight.emulation.frame_filter import FrameFilter
+from hueflight.emulation.frame_template import Template, empty_headers, stamp_all
+from hueflight.emulation.picture_reduction import PictureReduction, ReductionMemory
 from hueflight.model.instrument import Sensor
 from hueflight_protocol import (
     Event,
     EventCode,
     PacketHeader,
+    ReductionRoom,
     Register,
     RegisterFile,
     RegisterValue,
@@ -27,6 +32,7 @@ from hueflight_protocol import (
     camera_map,
     encode_event,
     encode_status,
+    encode_sums,
     encode_test_pattern,
 )
 from hueflight_protocol.typed_registers import camera as registers
@@ -94,7 +100,7 @@ class CameraModel:
         self.registers = RegisterFile(
             camera_map(
                 rows=sensor.rows, cols=sensor.cols, code_bits=sensor.code_bits, lanes=LANES,
-                clock_hz=CLOCK_HZ,
+                clock_hz=CLOCK_HZ, reduction=ReductionRoom(),
             ),
             on_write=self._written,
         )  # fmt: skip
@@ -106,13 +112,15 @@ class CameraModel:
         self._now_s = now_s
         self._lock = threading.RLock()
         self._answers: deque[bytes] = deque()
-        self._waiting: deque[bytes] = deque()
+        self._waiting: deque[bytes | memoryview] = deque()  # one or more packets each
         self._waiting_bytes = 0
         self._powered_s = now_s()
         self._started_s = 0.0
         self._frame = self._dropped = self._sent_whole = self._peak = self._sequence = 0
         self._running = False
         self._filter: FrameFilter | None = None
+        self._sensor, self._memory = sensor, ReductionMemory(sensor)
+        self._reduction: PictureReduction | None = None
         self._last_size = 0
         self.sent = Sent()
 
@@ -163,12 +171,17 @@ class CameraModel:
                 self._stop()
         elif register.name == registers.TestSend.NAME:
             self._send_test()
+        elif register.name == registers.ReductionStore.NAME:
+            self._memory.store_entries(self.registers, word)
+        elif register.name == registers.ReductionMove.NAME:
+            self._memory.store_offsets(self.registers, word)
 
     def _start(self) -> None:
         if self._running:
             self._stop()
         self._running = True
         self._filter = FrameFilter.of(self.registers)
+        self._reduction = PictureReduction.of(self._sensor, self.registers, self._memory)
         self._started_s = self._now_s()
         self._frame = self._dropped = self._sent_whole = self._peak = 0
         self._event(EventCode.RUN_STARTED, self._capture)
@@ -176,6 +189,7 @@ class CameraModel:
     def _stop(self) -> None:
         if self._running:
             self._running = False
+            self._send_picture()
             self._event(EventCode.RUN_STOPPED, self._frame)
 
     def _send_test(self) -> None:
@@ -209,43 +223,86 @@ class CameraModel:
         with self._lock:
             if not self._running:
                 return
-            frame_s = self.frame_s
-            due = int((self._now_s() - self._started_s) / frame_s)
-            limit = self._value(registers.FrameLimit)
-            if limit:
-                due = min(due, limit)
+            due, frame_s = self._due(), self.frame_s
             while self._frame < due:
-                self._expose(frame_s)
+                self._expose(due, frame_s)
+            limit = self._value(registers.FrameLimit)
             if limit and self._frame >= limit:
                 self._stop()
 
-    def _expose(self, frame_s: float) -> None:
-        template = None
-        if self._waiting_bytes + self._last_size <= self._buffer_bytes:
-            template = self.bank.template(self._frame)
-            if self._filter is not None:
-                template = self._filter.apply(template)
-            self._last_size = len(template)
-        # what does not fit need not be drawn, which a camera that was away for long would have to
-        if template is None or self._waiting_bytes + len(template) > self._buffer_bytes:
-            self._dropped += 1
-            self.sent = Sent(self.sent.frames + 1, self.sent.dropped + 1, self.sent.packets)
-        else:
-            packet = template.stamp(
-                sequence=self._sequence,
-                timestamp=int(self._frame * frame_s * CLOCK_HZ),
-                frame=self._frame,
-                dropped=min(self._dropped, registers.FramesDropped.VALUE_MAX),
-                capture=self._capture,
-                clock_hz=CLOCK_HZ,
-            )
-            self._sent_whole += 1
-            self.sent = Sent(self.sent.frames + 1, self.sent.dropped, self.sent.packets)
-            self._put(packet)
-        self._frame += 1
+    def _due(self) -> int:
+        """Number of frames of the run that are due by now."""
+        due = int((self._now_s() - self._started_s) / self.frame_s)
+        limit = self._value(registers.FrameLimit)
+        return min(due, limit) if limit else due
+
+    def _expose(self, due: int, frame_s: float) -> None:
+        """Put frames into the buffer or drop them, up to the one before `due` or to a status."""
         interval = self._value(registers.StatusInterval)
+        if interval:
+            due = min(due, self._frame + interval - self._frame % interval)
+        if self._reduction is not None:
+            due = min(due, self._frame + self._reduction.frames_left)
+        templates = self._fitting(due - self._frame)
+        # nothing leaves the buffer meanwhile: once a frame does not fit, none that follows does
+        dropped = due - self._frame - len(templates)
+        if templates and self._sends_codes:
+            self._put(self._stamped(templates, frame_s), len(templates))
+        if self._reduction is not None:
+            self._reduction.add(templates)
+            self._reduction.miss(dropped)
+            if not self._reduction.frames_left:
+                self._send_picture()
+        self._sent_whole += len(templates)
+        self._dropped += dropped
+        self._frame = due
+        self.sent = replace(
+            self.sent,
+            frames=self.sent.frames + len(templates) + dropped,
+            dropped=self.sent.dropped + dropped,
+        )
         if interval and self._frame % interval == 0:
             self._put(encode_status(self._status()))
+
+    def _fitting(self, most: int) -> list[Template]:
+        """Draw the next frames, as far as they fit into the buffer."""
+        templates: list[Template] = []
+        room, draw = self._buffer_bytes - self._waiting_bytes, self.bank.template
+        if self._reduction is not None:
+            room -= self._reduction.bytes
+        # what does not fit need not be drawn, which a camera that was away for long would have to
+        while len(templates) < most and self._last_size <= room:
+            template = draw(self._frame + len(templates))
+            if self._filter is not None:
+                template = self._filter.apply(template)
+            self._last_size = template.size if self._sends_codes else 0
+            room -= self._last_size
+            if room < 0:
+                break
+            templates.append(template)
+        return templates
+
+    @property
+    def _sends_codes(self) -> bool:
+        return self._reduction is None or self._reduction.with_codes
+
+    def _send_picture(self) -> None:
+        """Put the picture of sums into the buffer, as far as it has come."""
+        if self._reduction is not None:
+            for part in self._reduction.picture():
+                self._put(encode_sums(replace(part, header=self._header())))
+
+    def _stamped(self, templates: list[Template], frame_s: float) -> bytes:
+        """Packets of the next frames."""
+        numbers = empty_headers(len(templates))
+        frames = np.arange(self._frame, self._frame + len(templates))
+        numbers["sequence"] = self._sequence + frames - self._frame & registers.Sequence.VALUE_MAX
+        numbers["timestamp"] = frames * frame_s * CLOCK_HZ
+        numbers["frame"] = frames
+        numbers["dropped"] = min(self._dropped, registers.FramesDropped.VALUE_MAX)
+        numbers["capture"] = self._capture
+        numbers["clock_hz"] = CLOCK_HZ
+        return stamp_all(templates, numbers)
 
     def pull(self, limit: int, /) -> bytes:
         """Return the bytes of one transfer.
@@ -262,17 +319,25 @@ class CameraModel:
         """
         with self._lock:
             self.advance()
-            parts: list[bytes] = []
+            parts: list[bytes | memoryview] = []
             room = limit
             while self._waiting and room:
-                packet = self._waiting.popleft()
-                if len(packet) > room:
-                    self._waiting.appendleft(packet[room:])
-                    packet = packet[:room]
-                parts.append(packet)
-                room -= len(packet)
+                packets = self._waiting.popleft()
+                if len(packets) > room:
+                    view = memoryview(packets)
+                    self._waiting.appendleft(view[room:])
+                    packets = view[:room]
+                parts.append(packets)
+                room -= len(packets)
             self._waiting_bytes -= limit - room
             return b"".join(parts)
+
+    @property
+    def ready_bytes(self) -> int:
+        """About how many bytes a transfer would find now; nothing is drawn yet."""
+        with self._lock:
+            due = max(0, self._due() - self._frame) if self._running else 0
+            return self._waiting_bytes + due * max(1, self._last_size)
 
     @property
     def waiting_bytes(self) -> int:
@@ -313,9 +378,9 @@ class CameraModel:
             buffer_peak=min(self._peak, registers.BufferPeak.VALUE_MAX),
         )
 
-    def _put(self, packet: bytes) -> None:
-        self._sequence = self._sequence + 1 & registers.Sequence.VALUE_MAX
-        self._waiting.append(packet)
-        self._waiting_bytes += len(packet)
+    def _put(self, data: bytes, packets: int = 1) -> None:
+        self._sequence = self._sequence + packets & registers.Sequence.VALUE_MAX
+        self._waiting.append(data)
+        self._waiting_bytes += len(data)
         self._peak = max(self._peak, self._waiting_bytes)
-        self.sent = Sent(self.sent.frames, self.sent.dropped, self.sent.packets + 1)
+        self.sent = replace(self.sent, packets=self.sent.packets + packets)

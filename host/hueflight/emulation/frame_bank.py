@@ -7,80 +7,15 @@ that changes from pass to pass, so that the noise of its pictures differs for mi
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
-import google_crc32c
 import numpy as np
 
+from hueflight.emulation.frame_template import Template
 from hueflight.model.instrument import Instrument, Sensor
-from hueflight_protocol import FrameFlags, encode_frame, xor_words
+from hueflight_protocol import FrameFlags, encode_frame
 from hueflight_protocol.wire import FRAME_HEADER
-
-_STAMP = struct.Struct("<IQQ")  # sequence, timestamp, frame
-_SEQUENCE_AT = FRAME_HEADER.offset("sequence")
-_DROPPED_AT = FRAME_HEADER.offset("dropped")
-_CAPTURE_AT = FRAME_HEADER.offset("capture")
-_CLOCK_AT = FRAME_HEADER.offset("clock_hz")
-_CHECK_AT = FRAME_HEADER.offset("check")
-_WORD = (1 << 32) - 1
-
-
-class Template:
-    """One frame packet whose numbers are still to be filled in.
-
-    Parameters
-    ----------
-    packet : bytes
-        A complete frame packet.
-    """
-
-    __slots__ = ("_check", "_packet", "filtered")
-
-    def __init__(self, packet: bytes) -> None:
-        self.filtered: tuple[object, Template] | None = None  #: by which filter, and the result
-        self._packet = bytearray(packet)
-        for at, size in ((_SEQUENCE_AT, 20), (_DROPPED_AT, 4), (_CAPTURE_AT, 8), (_CHECK_AT, 4)):
-            self._packet[at : at + size] = bytes(size)
-        self._check = xor_words(bytes(self._packet[: FRAME_HEADER.size]))
-
-    def __len__(self) -> int:
-        """Return the number of bytes of the packet."""
-        return len(self._packet)
-
-    def stamp(
-        self,
-        *,
-        sequence: int,
-        timestamp: int,
-        frame: int,
-        dropped: int = 0,
-        capture: int = 0,
-        clock_hz: int = 0,
-    ) -> bytes:
-        """Return the packet with these numbers and with a correct check word and CRC.
-
-        Parameters
-        ----------
-        sequence, timestamp, frame, dropped, capture, clock_hz : int
-            Fields of the frame header.
-
-        Returns
-        -------
-        bytes
-            The packet.
-        """
-        packet = self._packet
-        _STAMP.pack_into(packet, _SEQUENCE_AT, sequence, timestamp, frame)
-        packet[_DROPPED_AT : _DROPPED_AT + 4] = dropped.to_bytes(4, "little")
-        packet[_CAPTURE_AT : _CAPTURE_AT + 4] = capture.to_bytes(4, "little")
-        packet[_CLOCK_AT : _CLOCK_AT + 4] = clock_hz.to_bytes(4, "little")
-        check = self._check ^ sequence ^ dropped ^ capture ^ clock_hz
-        check ^= timestamp & _WORD ^ timestamp >> 32 ^ frame & _WORD ^ frame >> 32
-        packet[_CHECK_AT : _CHECK_AT + 4] = check.to_bytes(4, "little")
-        body = bytes(memoryview(packet)[:-4])
-        return body + google_crc32c.value(body).to_bytes(4, "little")
 
 
 class FrameBank:
@@ -107,13 +42,13 @@ class FrameBank:
         self._steps: Sequence[list[Template]] = [steps[step] for step in sorted(steps)]
         self._frames_per_step = frames_per_step
         self._rng = np.random.default_rng(seed)
-        self._order: list[int] = []
-        self._place: tuple[int, int] = (-1, -1)
+        self._first = 0  # number of the frame that comes first in the present order
+        self._ordered: list[Template] = []
 
     @property
     def bytes_per_frame(self) -> float:
         """Mean size of a packet, in bytes."""
-        sizes = [len(template) for step in self._steps for template in step]
+        sizes = [template.size for step in self._steps for template in step]
         return sum(sizes) / len(sizes)
 
     def template(self, frame: int, /) -> Template:
@@ -129,14 +64,22 @@ class FrameBank:
         Template
             The frame.
         """
-        step = frame // self._frames_per_step if self._frames_per_step else 0
-        step = min(step, len(self._steps) - 1)
+        if not 0 <= frame - self._first < len(self._ordered):
+            self._order(frame)
+        return self._ordered[frame - self._first]
+
+    def _order(self, frame: int) -> None:
+        """Bring the frames of one pass through a step's bank into an order by chance."""
+        each, last = self._frames_per_step, len(self._steps) - 1
+        step = min(frame // each, last) if each else 0
         bank = self._steps[step]
-        turn, index = divmod(frame, len(bank))
-        if (step, turn) != self._place:
-            self._place = (step, turn)
-            self._order = self._rng.permutation(len(bank)).tolist()
-        return bank[self._order[index]]
+        begin = frame - frame % len(bank)
+        end = begin + len(bank)
+        self._first = max(begin, step * each)
+        if each and step < last:
+            end = min(end, (step + 1) * each)
+        order = self._rng.permutation(len(bank))[self._first - begin : end - begin]
+        self._ordered = [bank[number] for number in order]
 
     @classmethod
     def random(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.emulation.frame_bank import Template
+from hueflight.emulation.frame_template import Template
 from hueflight_protocol import FrameFlags, RegisterFile, decode_frame, encode_frame
 from hueflight_protocol.typed_registers import camera as registers
 

@@ -8,7 +8,7 @@ import os
 import tempfile
 import threading
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,9 +16,11 @@ from hueflight.calibration import Calibration
 from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceError, DeviceNotFoundError
 from hueflight.devices.illumination import CaptureKind
+from hueflight.devices.pulse_schedule import Capacity, ChannelLimit
 from hueflight.devices.rig import RigAddress, RigPart
-from hueflight.devices.simulation import Repetition
+from hueflight.devices.simulation import Changes, Repetition
 from hueflight.emulation.camera_model import CameraModel
+from hueflight.emulation.child_process import take_ordinary_priority
 from hueflight.emulation.frame_bank import FrameBank, simulated_packets
 from hueflight.emulation.fresh_frames import MOST_PIXELS_PER_S, FreshFrames
 from hueflight.emulation.simulated_transport import (
@@ -26,12 +28,16 @@ from hueflight.emulation.simulated_transport import (
     SimulatedStream,
     SimulatedTransport,
 )
+from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
+from hueflight_protocol import illuminator_map
 
 SERIAL = 0x51D0
 DEFAULT_SCENE = "fig1"
 BANK_FRAMES = 960  #: that are repeated if not every frame can have photons of its own
-CALIBRATION_FRAMES = 20_000
+CALIBRATION_FRAMES = 65_000  #: as many as counts of 16 bits hold
+#: of an LED, as gateware is built by default
+USUAL_LIMIT = ChannelLimit(on_ticks=80, burst_ticks=80, duty_divisor=8)
 CALIBRATION_SEED = 1 << 20  #: none of the photons that the camera sees
 T = TypeVar("T")
 _DRAW_TIMEOUT_S = 300
@@ -122,12 +128,13 @@ class SimulatedInstrument:
         self.instrument = instrument
         self.scene, self.distance, self.seed = scene, distance, seed
         sensor = instrument.sensor
-        pixels_per_s = sensor.rows * sensor.cols * (sensor.frame_rate_hz or 1e3)
+        pixels_per_s = sensor.rows * sensor.cols * sensor.usual_frame_rate_hz
         self._draws_each = frames is None and pixels_per_s <= MOST_PIXELS_PER_S
         self.frames = frames or BANK_FRAMES
         self.plugged = True
         self._fresh: FreshFrames | None = None
         self._streams = self._repeated = 0
+        self._changes = Changes()
         self._packets: dict[CaptureKind, list[bytes]] = {}
         self._lock = threading.Lock()
         # all dark until the first capture is prepared
@@ -171,8 +178,47 @@ class SimulatedInstrument:
         fresh = self._fresh
         return Repetition(None, self._repeated + (fresh.repeated if fresh is not None else 0))
 
-    def calibrate(self) -> Calibration:
-        """Return a calibration of the instrument, from many simulated photons.
+    @property
+    def changes(self) -> Changes:
+        """What changes in front of the camera."""
+        return self._changes
+
+    @property
+    def delay_ps(self) -> float:
+        """Present delay of all LED light by drift, in picoseconds."""
+        return 0.0 if self._fresh is None else self._fresh.delay_ps
+
+    def change(self, changes: Changes, /) -> None:
+        """Let a ball move in front of the scene, or delays drift, or end that.
+
+        Parameters
+        ----------
+        changes : Changes
+            What changes in front of the camera.
+
+        Raises
+        ------
+        DeviceError
+            If the camera only repeats frames.
+        """
+        if not self._draws_each:
+            raise DeviceError(
+                f"the simulated camera repeats {self.frames} frames, in which nothing can move or "
+                "drift: at a lower frame rate, and without 'frames' in its address, it draws each "
+                "frame anew"
+            )
+        with self._lock:
+            self._changes = changes
+            if self._fresh is not None:
+                self._fresh.change(changes)
+
+    def calibrate(self, instrument: Instrument, /) -> Calibration:
+        """Return a calibration from many simulated photons.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument, with the schedule that its LEDs have.
 
         Returns
         -------
@@ -186,10 +232,35 @@ class SimulatedInstrument:
         """
         with tempfile.TemporaryDirectory(prefix="hueflight-") as folder:
             path = Path(folder) / "calibration.zarr"
-            _in_a_process(
-                simulated_calibration, self.instrument.to_json(), self.distance, str(path)
-            )
+            _in_a_process(simulated_calibration, instrument.to_json(), self.distance, str(path))
             return Calibration.load(path)
+
+    @property
+    def capacity(self) -> Capacity:
+        """Limits of the schedules that can be simulated: those of the illuminator's usual build."""
+        channels = len(self.instrument.bands)
+        declared = illuminator_map(channels=channels)
+        size = declared["capacity"].decode(declared["capacity"].reset)
+        tick_ns = 1e-6 * declared["tick_fs"].reset
+        return Capacity(
+            channels, size["pulses"], size["steps"], size["lanes"], tick_ns,
+            (USUAL_LIMIT,) * channels,
+        )  # fmt: skip
+
+    def load_schedule(self, instrument: Instrument, /) -> None:
+        """Light scenes with the schedule that an instrument states from the next `prepare` on.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument with that schedule.
+        """
+        with self._lock:
+            if instrument == self.instrument:
+                return
+            self.instrument = instrument
+            self._packets.clear()
+            self._end_fresh()
 
     def prepare(self, kind: CaptureKind, frames: int, /) -> None:
         """Put the scene or target of a capture in front of the camera.
@@ -224,15 +295,20 @@ class SimulatedInstrument:
         if before is not None:
             if before.kind == kind and kind != "bands":
                 return before
-            self._repeated += before.repeated
-            before.close()
-            self._fresh = None
+            self._end_fresh()
         self._streams += 1
         self._fresh = FreshFrames(
             kind, self.instrument, scene=self.scene, distance=self.distance,
-            seed=self.seed + self._streams - 1, frames=frames,
+            seed=self.seed + self._streams - 1, frames=frames, changes=self._changes,
         )  # fmt: skip
         return self._fresh
+
+    def _end_fresh(self) -> None:
+        """End the process that draws photons, if there is one."""
+        if self._fresh is not None:
+            self._repeated += self._fresh.repeated
+            self._fresh.close()
+            self._fresh = None
 
     def _draw(self, kind: CaptureKind) -> list[bytes]:
         """Draw photons in a process of its own: here it would delay every thread."""
@@ -268,8 +344,36 @@ def simulated_calibration(instrument_json: str, distance: float, path: str) -> N
 
 def _in_a_process(work: Callable[..., T], *arguments: Any) -> T:
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context, initializer=_end_with_parent) as pool:
-        return pool.submit(work, *arguments).result(_DRAW_TIMEOUT_S)
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send_result, args=(sender, work, arguments), daemon=True)
+    process.start()
+    sender.close()  # so that the end of the process is the end of the stream
+    try:
+        if not receiver.poll(_DRAW_TIMEOUT_S):
+            raise DeviceError(f"simulated instrument: nothing was drawn in {_DRAW_TIMEOUT_S} s")
+        result = receiver.recv()
+    except EOFError:
+        raise DeviceError(
+            "simulated instrument: a process has ended without a result; its error is in the log"
+        ) from None
+    finally:
+        receiver.close()
+        process.terminate()
+        process.join()
+    if isinstance(result, BaseException):
+        raise result
+    return result
+
+
+def _send_result(sender: Connection, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    """Work in a process of its own, and send the result or the expected failure."""
+    _end_with_parent()
+    take_ordinary_priority()
+    try:
+        result = work(*arguments)
+    except (HueflightError, OSError) as error:
+        result = error
+    sender.send(result)
 
 
 def _end_with_parent() -> None:

@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from hueflight.devices.camera import TRANSFER_S
 from hueflight.devices.errors import DeviceGoneError
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.emulation.camera_model import CameraModel
@@ -118,15 +119,21 @@ class SimulatedStream:
         if not self._is_plugged():
             raise DeviceGoneError(f"simulated: {UNPLUGGED}")
         deadline = time.monotonic() + timeout_s
-        while not (data := self._model.pull(self._transfer_bytes)):
+        while not (data := self._transfer()):  # frames that are gathered to sums send nothing yet
             if time.monotonic() >= deadline:
-                break
+                return b""
             time.sleep(_POLL_S)
-        if 0 < len(data) < self._transfer_bytes:  # let the transfer fill, as one on a bus does
-            time.sleep(_POLL_S)
-            data += self._model.pull(self._transfer_bytes - len(data))
         self._received += len(data)
         return data
+
+    def _transfer(self) -> bytes:
+        """Fetch what is there, after the time that a transfer on a bus takes to fill."""
+        ready = self._model.ready_bytes
+        if not ready:
+            return b""
+        if ready < self._transfer_bytes:
+            time.sleep(TRANSFER_S)
+        return self._model.pull(self._transfer_bytes)
 
     @property
     def statistics(self) -> StreamStatistics:

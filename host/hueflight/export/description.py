@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import unicodedata
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -81,13 +82,15 @@ def describe(image: xr.Dataset, calibration: Calibration, /, **more: str) -> xr.
 def calibration_origin(calibration: Calibration) -> dict[str, Any]:
     """Return the origin of a calibration as plain values, with a digest of its content."""
     digest = hashlib.sha256()
-    for array in (
-        calibration.reference,
-        calibration.bins.edges_ns,
-        calibration.pixel_delay_ns,
-        calibration.brightness,
-        calibration.flat_field,
-        calibration.usable,
+    for array in chain(
+        calibration.reference_blocks(),
+        [
+            calibration.bins.edges_ns,
+            calibration.pixel_delay_ns,
+            calibration.brightness,
+            calibration.flat_field,
+            calibration.usable,
+        ],
     ):
         digest.update(np.ascontiguousarray(array).tobytes())
     return {

@@ -19,6 +19,7 @@ from typing import Any
 
 import xarray as xr
 
+from hueflight.arguments import PATH, SWITCH, TEXT, takes
 from hueflight.errors import ExportError
 from hueflight.export.envi import write_envi
 from hueflight.export.foxglove import write_foxglove
@@ -29,7 +30,9 @@ from hueflight.export.preview import write_depth_png, write_png, write_previews
 from hueflight.export.stores import write_netcdf, write_zarr
 from hueflight.export.tables import write_csv
 from hueflight.export.tiff import write_tiff
+from hueflight.files.atomic import NOTHING_LEFT
 from hueflight.files.image_schema import captures, require_image
+from hueflight.memory import within_memory
 
 ENTRY_POINT_GROUP = "hueflight.exporters"
 
@@ -123,6 +126,8 @@ def format_of(path: str | Path, name: str | None = None) -> Format:
     raise ExportError(f"{str(path)!r} ends in none of {endings}: rename it or name a format")
 
 
+@within_memory("the writing of an image", advice=NOTHING_LEFT)
+@takes(image=xr.Dataset, path=PATH, format=TEXT, overwrite=SWITCH)
 def write(
     image: xr.Dataset,
     path: str | Path,
@@ -163,6 +168,8 @@ def write(
         If it is not an image.
     OutputError
         If a file exists already or can't be written.
+    MemoryLimitError
+        If memory is exhausted.
     """
     require_image(image)
     chosen = format_of(path, format)

@@ -85,11 +85,12 @@ class FoxgloveMessages:
             "/tf": Topic("FrameTransforms", partial(self._transforms, stamp)),
             "/calibration": Topic("CameraCalibration", partial(self._calibration, stamp)),
         }
-        for name, variable in image.data_vars.items():
+        labels = band_labels(image) if "band" in image.dims else []
+        for name in image.data_vars:
+            variable = image.variables[name]
             if "band" in variable.dims:
-                for number, label in enumerate(band_labels(image)):
-                    plane = variable.isel(band=number)
-                    found[f"/{name}/{label}"] = self._plane(plane, stamp)
+                for number, label in enumerate(labels):
+                    found[f"/{name}/{label}"] = self._plane(variable, stamp, band=number)
             else:
                 found[f"/{name}"] = self._plane(variable, stamp)
         if "depth" in image and "reflectance" in image:
@@ -152,9 +153,10 @@ class FoxgloveMessages:
     def _stamp(self, time_ns: int) -> Any:
         return self.types.Timestamp(*divmod(time_ns, NS))
 
-    def _plane(self, variable: xr.DataArray, stamp: Any) -> Topic:
+    def _plane(self, variable: xr.Variable, stamp: Any, *, band: int | None = None) -> Topic:
         def build() -> Any:
-            return self._raw(variable.transpose("row", "col").values, stamp)
+            plane = variable if band is None else variable.isel(band=band)
+            return self._raw(plane.transpose("row", "col").values, stamp)
 
         return Topic("RawImage", build)
 
@@ -163,9 +165,9 @@ class FoxgloveMessages:
         if values.ndim == 3:
             encoding = "rgb8"
         elif values.dtype.kind in "ub" and values.dtype.itemsize <= 2:
-            encoding, values = "mono16", values.astype("<u2")
+            encoding, values = "mono16", values.astype("<u2", copy=False)
         else:
-            encoding, values = "32FC1", values.astype("<f4")
+            encoding, values = "32FC1", values.astype("<f4", copy=False)
         rows, cols = values.shape[:2]
         return self.types.RawImage(
             timestamp=stamp,
@@ -286,11 +288,15 @@ def point_records(
     }
     packed = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
     records = np.empty(len(points.xyz), packed)
-    for name, values in columns.items():
-        records[name] = values
+    for begin in range(0, len(records), _RECORDS_TOGETHER):
+        part = slice(begin, begin + _RECORDS_TOGETHER)
+        filled = records[part]
+        for name, values in columns.items():
+            filled[name] = values[part]
     return records
 
 
+_RECORDS_TOGETHER = 4096  #: so many stay in the processor's cache until all fields are written
 _NUMERIC = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64")
 
 

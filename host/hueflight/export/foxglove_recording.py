@@ -9,12 +9,13 @@ recording, and behind them a chunk for each picture, with the message types of F
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from mcap.opcode import Opcode
 from mcap.records import (
     AttachmentIndex,
@@ -63,6 +64,7 @@ def add_foxglove_channels(
     *,
     every: int | None = None,
     frames: int = FRAMES,
+    enrich: Callable[[xr.Dataset], xr.Dataset] = lambda image: image,
     overwrite: bool = False,
 ) -> None:
     """Copy a recording and add pictures that Foxglove shows, on channels of their own.
@@ -82,6 +84,8 @@ def add_foxglove_channels(
         Frames from one picture to the next; by default as many as are behind each.
     frames : int
         Frames behind each picture, the newest ones at its time.
+    enrich : callable
+        Returns each image with further planes, such as `hueflight.analysis.add_materials`.
     overwrite : bool
         Whether an existing file of this name may be replaced.
 
@@ -111,7 +115,10 @@ def add_foxglove_channels(
         for number, file in enumerate(segment_files(source)[0]):
             segment = SegmentReader(file)
             try:
-                pictures = _pictures(opened, segment, made, calibration, step, frames)
+                pictures = (
+                    (time_ns, _topics(made, enrich(image), time_ns))
+                    for time_ns, image in _pictures(opened, segment, calibration, step, frames)
+                )
                 segment_path(partial, number).write_bytes(_with_pictures(segment, pictures))
             finally:
                 segment.close()
@@ -120,12 +127,11 @@ def add_foxglove_channels(
 def _pictures(
     recording: Recording,
     segment: SegmentReader,
-    made: FoxgloveMessages,
     calibration: Calibration,
     step: int,
     frames: int,
-) -> Iterator[tuple[int, dict[str, Topic]]]:
-    """Time and messages of the pictures whose newest frame is in a segment."""
+) -> Iterator[tuple[int, xr.Dataset]]:
+    """Time and image of the pictures whose newest frame is in a segment."""
     first = int(segment.index["first"][0]) if len(segment.index) else 0
     stop = first + int(segment.index["frames"].sum())
     begin = frames + step * max(0, -(-(first + 1 - frames) // step))
@@ -133,10 +139,13 @@ def _pictures(
         histogram: Counts = recording.histogram(end - frames, end)
         image = describe(reconstruct(histogram, calibration), calibration)
         chunk = int(np.searchsorted(segment.index["first"], end - 1, side="right")) - 1
-        time_ns = int(segment.index["log_time"][chunk])
-        topics = made.topics(image, time_ns=time_ns)
-        topics["/log"] = made.summary(image, time_ns=time_ns)
-        yield time_ns, topics
+        yield int(segment.index["log_time"][chunk]), image
+
+
+def _topics(made: FoxgloveMessages, image: xr.Dataset, time_ns: int) -> dict[str, Topic]:
+    topics = made.topics(image, time_ns=time_ns)
+    topics["/log"] = made.summary(image, time_ns=time_ns)
+    return topics
 
 
 def _with_pictures(

@@ -3,7 +3,9 @@
 
 This follows the OME data model, schema 2016-06 (https://www.openmicroscopy.org/Schemas/OME/
 2016-06): one Image each for reflectance and its uncertainty (a channel per band), one for the
-other floating-point planes, one for the quality flags.
+other floating-point planes, one for the quality flags. A pixel seen through a lens has no physical
+size, which grows with the distance of what it sees, and OME has no angles among its units: the
+annotation has the angles instead.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ from hueflight.export.description import plain_attributes
 from hueflight.export.tiff import CLASSIC_LIMIT, storable
 from hueflight.files import import_optional, staged
 from hueflight.files.bands import band_names
-from hueflight.files.image_schema import SERIES_DIM, captures, require_image
+from hueflight.files.image_schema import SERIES_DIM, captures, instrument_of, require_image
+from hueflight.model.instrument import Instrument
 
 VISIBLE_NM = (400.0, 660.0)  #: from violet to red, for the colors of channels
 NAMESPACE = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
@@ -176,4 +179,17 @@ def _origin(image: xr.Dataset) -> dict[str, str]:
     known = plain_attributes(single)
     if "instrument_description" in image.attrs:
         known["instrument_description"] = image.attrs["instrument_description"]
+        known |= _angles(image, instrument_of(image))
+    return known
+
+
+def _angles(image: xr.Dataset, instrument: Instrument) -> dict[str, str]:
+    """Angles in degrees of a pixel on the axis of the lens, and of the image if it is whole."""
+    sizes = {"pixel_angle": (1, 1)}
+    if (image.sizes["row"], image.sizes["col"]) == instrument.image_shape:
+        sizes["field_of_view"] = instrument.image_shape
+    known: dict[str, str] = {}
+    for name, pixels in sizes.items():
+        if (angles := instrument.viewing_angles_deg(pixels)) is not None:
+            known |= {f"{name}_x_deg": f"{angles[0]:.6g}", f"{name}_y_deg": f"{angles[1]:.6g}"}
     return known

@@ -86,22 +86,27 @@ def image_points(
     known = np.isfinite(depth)
     if not known.any():
         raise ExportError("no pixel of the image has a depth: there are no points to write")
-    right, down = source.ray_slopes()
-    xyz = np.stack([right[known], down[known], np.ones(known.sum())], axis=1)
-    xyz *= depth[known][:, None]
-    row, col = np.nonzero(known)
+    places = np.flatnonzero(known)
+    xyz = np.empty((places.size, 3))
+    for axis, slopes in enumerate(source.ray_slopes()):
+        xyz[:, axis] = slopes.ravel()[places]
+    xyz[:, 2] = 1.0
+    xyz *= depth.ravel()[places][:, None]
+    row, col = np.divmod(places, depth.shape[1])
     fields: dict[str, NDArray[Any]] = {"row": row.astype(np.uint16), "col": col.astype(np.uint16)}
     units = {"row": "1", "col": "1"}
     labels = band_labels(image)
-    for name, variable in image.data_vars.items():
+    for name in image.data_vars:
+        variable = image.variables[name]
         unit = str(variable.attrs.get("units", "1"))
         if "band" in variable.dims:
             cube = variable.transpose("band", "row", "col").values
-            for label, plane in zip(labels, cube, strict=True):
-                fields[f"{name}_{label}"], units[f"{name}_{label}"] = plane[known], unit
+            found = cube.reshape(len(cube), -1).take(places, axis=1)
+            for label, plane in zip(labels, found, strict=True):
+                fields[f"{name}_{label}"], units[f"{name}_{label}"] = plane, unit
         elif name != "depth":  # which is z
-            fields[str(name)] = variable.transpose("row", "col").values[known]
+            fields[str(name)] = variable.transpose("row", "col").values.ravel()[places]
             units[str(name)] = unit
     if rgb is None:
         rgb = np.rint(color_picture(image, instrument=source) * 255).astype(np.uint8)
-    return Points(xyz=xyz, rgb=rgb[known], fields=fields, units=units)
+    return Points(xyz=xyz, rgb=rgb.reshape(-1, 3)[places], fields=fields, units=units)

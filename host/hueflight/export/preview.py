@@ -16,6 +16,7 @@ from hueflight.color.display import three_band_rgb
 from hueflight.errors import ExportError
 from hueflight.export.description import band_labels, plain_attributes
 from hueflight.files import import_optional, staged
+from hueflight.files.bands import find_band
 from hueflight.files.image_schema import SERIES_DIM, require_image
 
 MARGIN = 12
@@ -36,7 +37,7 @@ def write_png(
     /,
     *,
     variable: str = "depth",
-    band: int | None = None,
+    band: str | int | None = None,
     limits: tuple[float, float] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -55,8 +56,9 @@ def write_png(
         Name of the variable; ``"rgb"`` for colours from all bands (from three bands if the image
         does not describe its instrument), ``"three-band"`` for the false-colour picture of the
         paper.
-    band : int, optional
-        Index of the band, for variables with one plane per band.
+    band : str or int, optional
+        Name, number or wavelength (``"532 nm"``) of the band, for variables with one plane per
+        band.
     limits : tuple of float, optional
         Values at the ends of the colour bar; by default the percentiles 1 and 99.
     overwrite : bool
@@ -156,7 +158,10 @@ def write_previews(image: xr.Dataset, folder: str | Path, /, *, overwrite: bool 
 
 
 def _picture(
-    image: xr.Dataset, variable: str, band: int | None, limits: tuple[float, float] | None
+    image: xr.Dataset,
+    variable: str,
+    band: str | int | None,
+    limits: tuple[float, float] | None,
 ) -> tuple[Any, dict[str, str]]:
     """Return the picture (a Pillow image) and the text entries that describe it."""
     require_image(image)
@@ -174,12 +179,12 @@ def _picture(
     unit = str(image[variable].attrs.get("units", "1"))
     title = variable if unit == "1" else f"{variable} [{unit}]"
     if band is not None:
-        title = f"{title}, {image['wavelength'].values[band]:g} nm"
+        title = f"{title}, {image['wavelength'].values[find_band(image, band)]:g} nm"
     entries = {"variable": title, "limits": f"{low:.9g} {high:.9g}"}
     return _with_bar(colours(plane, low, high), title, low, high), entries
 
 
-def _plane(image: xr.Dataset, variable: str, band: int | None) -> NDArray[np.float64]:
+def _plane(image: xr.Dataset, variable: str, band: str | int | None) -> NDArray[np.float64]:
     if variable not in image.data_vars:
         raise ExportError(
             f"the image has no {variable!r}: choose rgb, three-band or one of "
@@ -188,11 +193,9 @@ def _plane(image: xr.Dataset, variable: str, band: int | None) -> NDArray[np.flo
     values = image[variable]
     if "band" in values.dims:
         count = image.sizes["band"]
-        if band is None or not 0 <= band < count:
-            raise ExportError(
-                f"{variable!r} has {count} bands: say which, band=0 to {count - 1}; it is {band!r}"
-            )
-        values = values.isel(band=band)
+        if band is None:
+            raise ExportError(f"{variable!r} has {count} bands: say which, such as band='532 nm'")
+        values = values.isel(band=find_band(image, band))
     elif band is not None:
         raise ExportError(f"{variable!r} has no bands: leave band={band!r} out")
     return values.transpose("row", "col").values.astype(np.float64)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import xarray as xr
 from hueflight.export.description import with_conventions
 from hueflight.export.hdf5 import buffering_file
 from hueflight.files import ZARR_FORMAT, import_optional, staged, write_checksums
-from hueflight.files.image_schema import SERIES_DIM, require_image
+from hueflight.files.bands import has_band_labels
+from hueflight.files.image_schema import CAPTURE_NAME, SERIES_DIM, require_image
 
 
 def write_zarr(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
@@ -61,6 +63,11 @@ def write_zarr(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fals
 def write_netcdf(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = False) -> None:
     """Write an image or series as a NetCDF-4 file with lossless compression.
 
+    The file follows the CF conventions. They allow only numbers in a coordinate of the same name as
+    its dimension, so that the labels of `band` are in `band_name` alone, and those of `capture` in
+    `capture_name`; `hueflight.importers.read_image` restores them. The attribute `history` says
+    when and by which program an image was first written as NetCDF.
+
     Parameters
     ----------
     image : xarray.Dataset
@@ -82,9 +89,30 @@ def write_netcdf(image: xr.Dataset, path: str | Path, /, *, overwrite: bool = Fa
     require_image(image)
     import_optional("h5netcdf", extra="export")
     # without the encoding of the file that it was read from, which may not fit the new one
-    described = with_conventions(image).drop_encoding()
+    described = _with_history(_without_text_index(with_conventions(image))).drop_encoding()
     encoding: dict[Any, dict[str, Any]] = {
         name: {"zlib": True, "shuffle": True} for name in described.data_vars
     }
     with staged(path, overwrite=overwrite) as partial, buffering_file(partial) as file:
         described.to_netcdf(file, engine="h5netcdf", encoding=encoding)
+
+
+def _without_text_index(image: xr.Dataset) -> xr.Dataset:
+    """Keep labels that are text in coordinates of other names, from which `read_image` has them."""
+
+    def is_text(name: str) -> bool:
+        return name in image.coords and image[name].dtype.kind in "OUST"
+
+    if has_band_labels(image) and is_text("band"):
+        image = image.drop_vars("band")
+    if is_text(SERIES_DIM):
+        names = image[SERIES_DIM].variable
+        image = image.drop_vars(SERIES_DIM).assign_coords({CAPTURE_NAME: names})
+    return image
+
+
+def _with_history(image: xr.Dataset) -> xr.Dataset:
+    """Begin the history of the file, with time and program, unless it has one (CF 2.6.2)."""
+    when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    line = f"{when}: written by {image.attrs.get('software', 'hueflight')}"
+    return image.assign_attrs({"history": line, **image.attrs})

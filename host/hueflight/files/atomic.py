@@ -9,19 +9,23 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hueflight.errors import OutputError, OutputExistsError
 from hueflight.files.checksums import CHECKSUM_LIST
 from hueflight.files.descriptors import sync_folder
+from hueflight.memory import within_memory
 
 FULL_DISK_BYTES = 1 << 20  #: a disk with less free space than this counts as full
-DISCARD_TRIES = 50  #: one every 20 ms: a second in all
+DISCARD_TRIES = 100  #: one every 20 ms: two seconds in all
+SURELY_GONE = 5  #: tries in a row that find no folder, after which no thread writes any more
+RESERVE_BYTES = 1 << 17  #: of memory for the removal of what was written when there is no other
+NOTHING_LEFT = "Nothing new was left under that name"
 PARTIAL_SUFFIX = ".partial"  #: ends the names of folders that hold unfinished work
 
 
@@ -51,34 +55,37 @@ def staged(target: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     OutputError
         If the folder of the target is missing or the disk refuses; what was there before under
         the target's name is left as it was.
+    MemoryLimitError
+        If memory is exhausted; what was there before is left too.
     """
     target = Path(target)
     if not target.parent.is_dir():
         raise OutputError(f"can't write {str(target)!r}: there is no folder {str(target.parent)!r}")
     refuse_existing(target, overwrite=overwrite)
+    # the name first: a folder whose name is not known any more could not be removed
+    folder = target.parent / f".{target.name}.{secrets.token_hex(4)}{PARTIAL_SUFFIX}"
+    reserve: list[bytearray] = []
+    complete = False
     try:
-        folder = Path(
-            tempfile.mkdtemp(
-                prefix=f".{target.name}.", suffix=PARTIAL_SUFFIX, dir=target.parent or "."
-            )
-        )
-    except OSError as error:
-        raise _explained(target, error) from error
-    try:
-        yield folder / target.name
-        written = sorted(folder.iterdir(), key=lambda path: path.name == target.name)
-        for path in written:
-            refuse_existing(target.parent / path.name, overwrite=overwrite)
-            _sync(path)
-        for path in written:
-            _move(path, target.parent / path.name, aside=folder)
-        _sync(target.parent, entries=False)
+        with within_memory(f"the writing of {str(target)!r}", advice=NOTHING_LEFT):
+            reserve.append(bytearray(RESERVE_BYTES))
+            folder.mkdir(0o700)
+            yield folder / target.name
+            written = sorted(folder.iterdir(), key=lambda path: path.name == target.name)
+            for path in written:
+                refuse_existing(target.parent / path.name, overwrite=overwrite)
+                _sync(path)
+            for path in written:
+                _move(path, target.parent / path.name, aside=folder)
+            _sync(target.parent, entries=False)
+        complete = True
     except OutputError:
         raise  # it is an OSError too, but explained already
     except OSError as error:
         raise _explained(target, error) from error
     finally:
-        _discard(folder)
+        reserve.clear()
+        _discard(folder, at_once=complete)
 
 
 def make_parent(target: str | Path) -> None:
@@ -122,12 +129,15 @@ def replace_file(target: str | Path, content: str | bytes) -> None:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def _discard(folder: Path) -> None:
-    """Remove a folder, though a library's own threads may still be writing into it."""
+def _discard(folder: Path, *, at_once: bool) -> None:
+    """Remove a folder; unless `at_once`, a library's own threads may make it again meanwhile."""
+    gone = 0
     for _ in range(DISCARD_TRIES):
-        shutil.rmtree(folder, ignore_errors=True)
-        if not folder.exists():
-            return
+        with suppress(MemoryError):
+            shutil.rmtree(folder, ignore_errors=True)
+            gone = 0 if folder.exists() else gone + 1
+            if gone >= (1 if at_once else SURELY_GONE):
+                return
         time.sleep(0.02)
 
 
@@ -176,9 +186,7 @@ def _explained(target: Path, error: OSError) -> OutputError:
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     if full or (error.errno is None and shutil.disk_usage(target.parent).free < FULL_DISK_BYTES):
         advice = " (the disk is full: free some space or write elsewhere)"
-    return OutputError(
-        f"can't write {str(target)!r}: {reason}{advice}. Nothing new was left under that name"
-    )
+    return OutputError(f"can't write {str(target)!r}: {reason}{advice}. {NOTHING_LEFT}")
 
 
 def _sync(path: Path, *, entries: bool = True) -> None:

@@ -22,6 +22,14 @@ def band_names(image: xr.Dataset) -> list[str]:
     return [f"{wavelength:g} nm" for wavelength in image["wavelength"].values]
 
 
+def has_band_labels(image: xr.Dataset) -> bool:
+    """Whether the names of the bands are labels for ``image.sel(band=...)`` too.
+
+    They are in every image of an instrument; other images may have names that are not unique.
+    """
+    return "instrument_fingerprint" in image.attrs and "band_name" in image.coords
+
+
 def find_band(image: xr.Dataset, band: str | int, /, *, within_nm: float = NEAR_NM) -> int:
     """Return the position of a band in an image.
 
@@ -51,7 +59,7 @@ def find_band(image: xr.Dataset, band: str | int, /, *, within_nm: float = NEAR_
     >>> find_band(image, "532 nm")
     1
     """
-    names, text = band_names(image), str(band)
+    names, wavelengths_nm, text = band_names(image), image["wavelength"].values, str(band)
     if text in names:
         return names.index(text)
     if text.isdecimal() and int(text) < len(names):
@@ -59,15 +67,15 @@ def find_band(image: xr.Dataset, band: str | int, /, *, within_nm: float = NEAR_
     found = _WAVELENGTH.fullmatch(text)
     if found is None:
         raise ImageError(
-            f"band {text!r}: the image has no such band; it has {', '.join(names)}, numbers 0 to "
-            f"{len(names) - 1}, and takes wavelengths such as '532 nm'"
+            f"there is no band {text!r}; choose from {', '.join(names)}, numbers 0 to "
+            f"{len(names) - 1}, or wavelengths such as '532 nm'"
         )
-    away = np.abs(image["wavelength"].values - float(found[1]))
+    away = np.abs(wavelengths_nm - float(found[1]))
     nearest = int(away.argmin())
     if away[nearest] > within_nm:
         raise ImageError(
             f"band {text!r}: the nearest band is {names[nearest]!r} at "
-            f"{image['wavelength'].values[nearest]:g} nm, {away[nearest]:g} nm away, which is more "
+            f"{wavelengths_nm[nearest]:g} nm, {away[nearest]:g} nm away, which is more "
             f"than {within_nm:g} nm"
         )
     return nearest

@@ -13,6 +13,7 @@ from hueflight.errors import ImageError
 from hueflight.model.instrument import Instrument
 
 SERIES_DIM = "capture"  #: leading dimension of a series of images
+CAPTURE_NAME = "capture_name"  #: names of the captures in NetCDF, where no index may be text
 
 
 def require_image(image: xr.Dataset) -> None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hueflight.recognition import reason_of
+
 CHECKED = "everything was read and agrees with its checksums"
 READ = "everything was read without an error; files of this kind have no checksums"
 
@@ -76,22 +78,6 @@ def checked(
         return FileDescription(kind=kind, facts=facts, whole=True, evidence=read())
     except Exception as error:  # ours or a library's: whatever it says, the content is not whole
         return FileDescription(kind=kind, facts=facts, whole=False, evidence=reason_of(error))
-
-
-def reason_of(error: Exception) -> str:
-    """Return the first line of an error, or its type where it says nothing.
-
-    Parameters
-    ----------
-    error : Exception
-        Error of a library.
-
-    Returns
-    -------
-    str
-        One line.
-    """
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
 def array_text(shape: tuple[int, ...], dtype: Any) -> str:

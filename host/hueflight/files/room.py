@@ -58,8 +58,8 @@ class Room:
             )
         return free
 
-    def require(self, size: int, /, *, reserve: int) -> None:
-        """Check that there is room.
+    def require(self, size: int, /, *, reserve: int) -> int:
+        """Check that there is room, and return how much would be left.
 
         Parameters
         ----------
@@ -67,6 +67,11 @@ class Room:
             Bytes that are to be written.
         reserve : int
             Bytes that must stay free besides.
+
+        Returns
+        -------
+        int
+            Bytes that could be written beyond these.
 
         Raises
         ------
@@ -81,6 +86,7 @@ class Room:
                 f"only {free >> 20} MiB are free under {self.folder}, recording needs more than "
                 f"{reserve >> 20} MiB: make room or choose another folder"
             )
+        return free - size - reserve
 
 
 def _examine(folder: Path) -> tuple[tuple[int, int], int]:

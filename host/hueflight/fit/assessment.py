@@ -2,19 +2,24 @@
 """Whether one surface explains a fitted pixel's counts: a cheap test of all pixels, and a full one.
 
 All tests use the bins of the search (a few to a pulse, which loses next to nothing) and the
-parameters that the fit found. Three departures are looked for, each as a standard normal score:
+parameters that the fit found. Departures are looked for in eight ways, each a standard normal
+score:
 
-1. *Broader pulses* in all bands: two surfaces in a pixel, a changed pulse, multipath.
-2. *Delays that change smoothly over wavelength*: two surfaces of different colors.
-3. *Anything else*: χ² or deviance over all bins.
+1. *Broader pulses* in all bands: two surfaces of equal light, a changed pulse, multipath.
+2. *Some light earlier* or *later* in all bands: two surfaces, one much brighter than the other.
+3. *Delays that change smoothly over wavelength*, along either of two contrasts and in either
+   direction, with pulses that are somewhat broader: two surfaces of different colors.
+4. *Anything else*: χ² or deviance over all bins.
 
-The first two are efficient scores (C(α) tests; Neyman, in Probability and Statistics, 1959) of
-directions in which counts would change. The *screen* computes them for every pixel, with the score
-of amplitudes and background taken as 0 and the overlap of bands left out, and Pearson's χ². A pixel
-one of whose scores exceeds `ASKED` gets the *full* test: directions orthogonal to all fitted
-parameters, a correction for skewness, and the deviance of groups of bins with the mean and variance
-that Poisson counts give it. The misfit score is the greatest of the three, of the full test where
-it was made.
+All but the last are efficient scores (C(α) tests; Neyman, in Probability and Statistics, 1959) of
+directions in which counts would change. An allowance is subtracted from all but the first: tests of
+what is rarer may cause fewer of the false alarms.
+
+The *screen* computes the first, the last, and a χ² of the third for every pixel, with the score of
+amplitudes and background taken as 0 and the overlap of bands left out. A pixel one of whose scores
+exceeds `ASKED` gets the *full* test: all directions, orthogonal to all fitted parameters, a
+correction for skewness, and the deviance of groups of bins with the mean and variance that Poisson
+counts give it. The misfit score is the greatest of all, of the full test where it was made.
 """
 
 from __future__ import annotations
@@ -28,8 +33,11 @@ from scipy.special import gammaln, log_ndtr
 from hueflight.fit.tables import DelayTables, ModelTables, by_phase
 
 MISFIT = 3.5  #: misfit score from which one surface does not explain the counts
-ASKED = 2.6  #: score of the screen from which a pixel gets the full test
-TESTS = 3  #: scores of which the misfit score is the greatest
+ASKED = 2.15  #: score of the screen from which a pixel gets the full test
+LAG = 1.0  #: time by which some light is earlier or later, in deviations of one photon's delay
+BROADENING = (0.06, 0.2)  #: that goes with each contrast of delays, in the same deviations
+#: what is subtracted from the scores of earlier or later light, of each contrast, of the deviance
+LAG_ALLOWANCE, CONTRAST_ALLOWANCES, DEVIANCE_ALLOWANCE = 0.1, (0.3, 0.1), 0.4
 LARGEST_LOSS = 0.02  #: photons per period up to which corrected counts are nearly Poisson counts
 LEAST_BACKGROUND = 0.5  #: photons of background in the weights, at least
 RIDGE = 1e-6  #: on the unit diagonal of the normal equations
@@ -37,6 +45,7 @@ REACH = 2  #: tabulated delays to either side, whose slopes give the second deri
 DISTINCT = 0.02  #: share of a contrast's variance that the other one must leave
 GROUPED = 2  #: bins of the search in one group of the deviance
 LEAST_MEAN = 1e-3  #: expected counts of a group, at least, in the deviance
+SCORE_STEP = 0.01  #: between scores whose probabilities are in a table
 DEVIANCE_POINTS = 512  #: of the table of the deviance's mean and variance
 DEVIANCE_LIMITS = (1e-3, 1e3)  #: expected counts that the table spans
 
@@ -86,7 +95,7 @@ def assess(
         chi_square[chosen], score = _screen(pixels, tables.contrasts, ratios)
         full = score > asked
         if full.any():
-            score[full] = _full(pixels.take(full), tables.contrasts)
+            score[full] = _full(pixels.take(full), tables.contrasts, tables.spread_ns)
         misfit[chosen] = score
     return chi_square, misfit
 
@@ -97,14 +106,54 @@ def p_value(misfit: _Floats) -> _Floats:
     Parameters
     ----------
     misfit : ndarray
-        Greatest of three standard normal scores.
+        Greatest of the scores.
 
     Returns
     -------
     ndarray
         Probabilities, the scores taken as independent.
     """
-    return -np.expm1(TESTS * log_ndtr(misfit))
+    scores, logs = tails()
+    place = (np.asarray(misfit) - scores[0]) / SCORE_STEP  # in a raster, there is nothing to search
+    below = np.fmin(np.fmax(place, 0), scores.size - 2).astype(np.intp)
+    part = np.clip(place - below, 0, 1)
+    found = np.exp(logs[below] + part * np.diff(logs)[below])
+    return np.where(misfit > scores[-1], 0.0, found)
+
+
+def misfit_score(probability: _Floats) -> _Floats:
+    """Misfit score that has a probability: the inverse of `p_value`.
+
+    Parameters
+    ----------
+    probability : ndarray
+        Probabilities, such as that of another test of the same pixel.
+
+    Returns
+    -------
+    ndarray
+        Scores.
+    """
+    scores, logs = tails()
+    with np.errstate(divide="ignore"):
+        return np.interp(-np.log(probability), -logs, scores)
+
+
+@cache
+def tails() -> tuple[_Floats, _Floats]:
+    """Return how probable misfit scores are.
+
+    Returns
+    -------
+    scores : ndarray of float, shape (score,)
+        Scores, `SCORE_STEP` apart.
+    logs : ndarray of float, shape (score,)
+        Logarithm of the probability that the greatest of all exceeds them.
+    """
+    scores = np.arange(-10.0, 38.0, SCORE_STEP)
+    allowances = (0.0, DEVIANCE_ALLOWANCE, *2 * (LAG_ALLOWANCE, *CONTRAST_ALLOWANCES))
+    below = sum(log_ndtr(scores + allowance) for allowance in allowances)
+    return scores, np.log(np.maximum(-np.expm1(below), 1e-320))
 
 
 def wavelength_contrasts(wavelengths_nm: NDArray[np.floating]) -> _Floats:
@@ -193,7 +242,7 @@ def _screen(pixels: _Pixels, contrasts: _Floats, ratios: _Floats) -> tuple[_Floa
     if freedom > 0:
         chi_square = pearson / freedom
         shape = freedom**2 / (2 * freedom + pixels.weight.sum(axis=-1))
-        score = np.maximum(score, gamma_score(chi_square, shape))
+        score = np.maximum(score, gamma_score(chi_square, shape) - DEVIANCE_ALLOWANCE)
     if len(contrasts):
         across = v @ contrasts.T  # pixel, contrast
         pulls = u @ contrasts.T - across * (delay_u / delay_v)[:, None]
@@ -204,7 +253,7 @@ def _screen(pixels: _Pixels, contrasts: _Floats, ratios: _Floats) -> tuple[_Floa
     return chi_square, score
 
 
-def _full(pixels: _Pixels, contrasts: _Floats) -> _Floats:
+def _full(pixels: _Pixels, contrasts: _Floats, spread_ns: float) -> _Floats:
     """Greatest score of the full tests."""
     a, weight, residual = pixels.amplitudes, pixels.weight, pixels.residual
     linear = np.vstack([pixels.shares, pixels.level.widths]).astype(np.float64)
@@ -218,24 +267,61 @@ def _full(pixels: _Pixels, contrasts: _Floats) -> _Floats:
     scaled = normal * scale[:, :, None] * scale[:, None, :] + RIDGE * np.eye(normal.shape[-1])
     inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None, :]
     step = np.einsum("pab,pb->pa", inverse, np.einsum("pcg,pg->pc", weighted, residual))
+    given = np.stack([a @ table for table in _directions(pixels, contrasts, spread_ns)], axis=1)
+    along = np.einsum("pcg,pdg->pcd", weighted, given)
+    directions = given - np.einsum("pcd,pca,pag->pdg", along, inverse, nuisance)
+    raw = np.einsum("pdg,pg->pd", given**2, weight)
+    pulls = np.einsum("pdg,pg->pd", directions, weight * residual)
+    products = np.einsum("pdg,pg,peg->pde", directions, weight, directions)
+    cubes = np.einsum("pdg,pg->pd", directions**3, weight**2)
+    score = _deviance_score(pixels, step, nuisance, weighted, inverse) - DEVIANCE_ALLOWANCE
+    allowances = (0.0, LAG_ALLOWANCE, LAG_ALLOWANCE)
+    for number, allowance in enumerate(allowances):
+        variance = products[:, number, number] + 1e-30
+        z = pulls[:, number] / np.sqrt(variance)
+        z -= cubes[:, number] / variance**1.5 * (z**2 - 1) / 6
+        distinct = variance > DISTINCT * raw[:, number]
+        score = np.maximum(score, np.where(distinct, z - allowance, -np.inf))
+    for number in range(len(contrasts)):
+        own, broader = len(allowances) + number, BROADENING[number] * spread_ns
+        distinct = products[:, own, own] > DISTINCT * raw[:, own]
+        for sign in (1, -1):
+            pull = sign * pulls[:, own] + broader * pulls[:, 0]
+            variance = products[:, own, own] + broader**2 * products[:, 0, 0]
+            variance += 2 * sign * broader * products[:, 0, own]
+            z = pull / np.sqrt(np.maximum(variance, 1e-30)) - CONTRAST_ALLOWANCES[number]
+            score = np.maximum(score, np.where(distinct, z, -np.inf))
+    return score
 
-    def orthogonal(direction: _Floats) -> _Floats:
-        along = np.einsum("pcg,pg->pc", weighted, direction)
-        return direction - np.einsum("pa,pab,pbg->pg", along, inverse, nuisance)
 
-    broad = orthogonal(a @ _curves(pixels.level, pixels.phase))
-    variance = (broad**2 * weight).sum(axis=-1) + 1e-30
-    z = (broad * weight * residual).sum(axis=-1) / np.sqrt(variance)
-    skewness = (broad**3 * weight**2).sum(axis=-1) / variance**1.5
-    score = z - skewness * (z**2 - 1) / 6
-    if len(contrasts):
-        given = [(a * row) @ pixels.slopes for row in contrasts]
-        raw = np.stack([(v**2 * weight).sum(axis=-1) for v in given], axis=1)
-        directions = np.stack([orthogonal(v) for v in given], axis=1)
-        pulls = np.einsum("pcg,pg->pc", directions, weight * residual)
-        products = np.einsum("pcg,pg,pdg->pcd", directions, weight, directions)
-        score = np.maximum(score, _contrast_score(pulls, products, raw))
-    return np.maximum(score, _deviance_score(pixels, step, nuisance, weighted, inverse))
+def _directions(pixels: _Pixels, contrasts: _Floats, spread_ns: float) -> list[_Floats]:
+    """Changes of a band's share (band, bin): broader, earlier, later, and along each contrast."""
+    level, phase = pixels.level, pixels.phase
+    shift, last = lag_steps(level, spread_ns), len(level.shares) - 1
+    moved = [level.shares[max(phase - shift, 0)], level.shares[min(phase + shift, last)]]
+    return [
+        _curves(level, phase),
+        *(shares.astype(np.float64) for shares in moved),
+        *(contrast[:, None] * pixels.slopes for contrast in contrasts),
+    ]
+
+
+def lag_steps(level: DelayTables, spread_ns: float) -> int:
+    """Tabulated delays by which some light is taken to be earlier or later.
+
+    Parameters
+    ----------
+    level : DelayTables
+        Tables at the bins of the search.
+    spread_ns : float
+        Standard deviation of the delay that one photon tells, ns.
+
+    Returns
+    -------
+    int
+        Number of steps, at least 1.
+    """
+    return max(1, round(LAG * spread_ns / level.phase_ns))
 
 
 def _contrast_score(pulls: _Floats, products: _Floats, raw: _Floats) -> _Floats:

@@ -33,8 +33,9 @@ class PackedDelays:
         Share of the background.
     run_places : ndarray of int32, shape (phase + 1,)
         First run of each phase.
-    runs : ndarray of int32, shape (run, 4)
-        Successive blocks that one band lights: band, first bin, bins, place in `data`; bands rise.
+    runs : ndarray of int32, shape (run, 6)
+        Successive blocks that one band lights: band, first bin, bins, place in `data`, and of the
+        bins that are lit the first one and how many; bands rise.
     data : ndarray of float32, shape (place,)
         Of each run all shares, then all slopes.
     segment_places : ndarray of int32, shape (phase + 1,)
@@ -43,6 +44,8 @@ class PackedDelays:
         Successive bins that the same bands light: first bin, bins, bands, first row of `lit`.
     lit : ndarray of int32, shape (band of a segment, 3)
         Band, and the places of its first share and slope; bands rise.
+    sums : ndarray of float32, shape (phase, band, 2)
+        Sums of shares and of slopes over all bins.
     """
 
     blocks: int
@@ -53,6 +56,7 @@ class PackedDelays:
     segment_places: NDArray[np.int32]
     segments: NDArray[np.int32]
     lit: NDArray[np.int32]
+    sums: NDArray[np.float32]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays by name."""
@@ -178,6 +182,7 @@ def _level_sizes(name: str, level: DelayTables, packed: PackedDelays) -> dict[st
         f"{name}_phases": len(level.shares),
         f"{name}_first_ns": level.first_ns,
         f"{name}_phase_ns": level.phase_ns,
+        f"{name}_whole": level.widths.sum(dtype=np.float64),
     }
 
 
@@ -225,6 +230,13 @@ def rules(tables: ModelTables, options: reference.FitOptions) -> NDArray[np.void
         least_mean=assessment.LEAST_MEAN,
         reach=assessment.REACH,
         contrasts=len(tables.contrasts),
+        lag=assessment.lag_steps(tables.wide, tables.spread_ns),
+        first_broadening=assessment.BROADENING[0] * tables.spread_ns,
+        second_broadening=assessment.BROADENING[1] * tables.spread_ns,
+        lag_allowance=assessment.LAG_ALLOWANCE,
+        first_allowance=assessment.CONTRAST_ALLOWANCES[0],
+        second_allowance=assessment.CONTRAST_ALLOWANCES[1],
+        deviance_allowance=assessment.DEVIANCE_ALLOWANCE,
         first_log=logs[0],
         log_step=logs[1] - logs[0],
         points=logs.size,
@@ -279,13 +291,14 @@ def _level(level: DelayTables, *, skip_dark: bool) -> PackedDelays:
     for table, before in zip(tables, (np.zeros_like(lengths), lengths), strict=True):
         data[_stretched(place[:-1] + before, lengths)] = table[_stretched(rows, lengths)]
     phase, first = parts.phase[begin], parts.block[begin] * TILE_BINS
-    runs = _table(parts.band[begin], first, counts * TILE_BINS, place[run_values] * TILE_BINS)
     low, high = first, np.minimum(first + counts * TILE_BINS, tiles.bins)
     if skip_dark:
         ends = begin + counts - 1
         lit = (parts.shares != 0) | (parts.slopes != 0)
         low = first + lit.argmax(axis=-1)[parts.row[begin]]
         high = (parts.block[ends] + 1) * TILE_BINS - lit[:, ::-1].argmax(axis=-1)[parts.row[ends]]
+    bins, places = counts * TILE_BINS, place[run_values] * TILE_BINS
+    runs = _table(parts.band[begin], first, bins, places, low, high - low)
     segment_phase, segments, lit_rows = _segments(phase, low, high, runs, phases, tiles.bins)
     return PackedDelays(
         blocks=tiles.blocks,
@@ -296,7 +309,21 @@ def _level(level: DelayTables, *, skip_dark: bool) -> PackedDelays:
         segment_places=np.searchsorted(segment_phase, phases).astype(np.int32),
         segments=segments,
         lit=lit_rows,
+        sums=_sums(parts, phases.size - 1, tiles.bands),
     )
+
+
+def _sums(parts: _Parts, phases: int, bands: int) -> NDArray[np.float32]:
+    """Sums of shares and slopes over all bins, shape (phase, band, 2)."""
+    whole = [
+        np.bincount(
+            parts.phase * bands + parts.band,
+            values.sum(axis=-1, dtype=np.float64)[parts.row],
+            phases * bands,
+        )
+        for values in (parts.shares, parts.slopes)
+    ]
+    return np.stack(whole, axis=-1).astype(np.float32).reshape(phases, bands, 2)
 
 
 def _segments(
@@ -323,7 +350,7 @@ def _segments(
     segment, run = _stretched(from_, counts), np.repeat(np.arange(phase.size), counts)
     order = np.argsort(segment, kind="stable")  # bands rise among the runs of a phase
     segment, run = segment[order], run[order]
-    band, run_first, run_bins, place = runs[run].T.astype(np.int64)
+    band, run_first, run_bins, place = runs[run, :4].T.astype(np.int64)
     share = place + first[segment] % turn - run_first
     bands = np.bincount(segment, minlength=first.size)
     segments = _table(first % turn, end - first, bands, np.cumsum(bands) - bands)

@@ -6,9 +6,10 @@ The compiled kernel is used where it was built and has room for the bands; see `
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import Any, Protocol, cast
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,26 +17,29 @@ from numpy.typing import NDArray
 from hueflight import backend
 from hueflight.backend.fit import (
     CHANGE_REFERENCE,
-    CHANGE_SIGNIFICANCE,
+    CHANGES,
     FIT,
     MOST_BANDS,
-    REFERENCE_MULTIPLE,
     SUMS,
 )
 from hueflight.errors import HueflightError, KernelError
 from hueflight.fit import assessment, change_detection
 from hueflight.fit import reference as definition
-from hueflight.fit.packing import PackedDelays, PackedSearch, PackedTables, pack, rules, sizes
+from hueflight.fit.change_detection import ChangeReference, no_reference
+from hueflight.fit.kernel_arguments import assessment_arguments, table_arguments
 from hueflight.fit.reference import DEFAULT, Fit, FitOptions, no_fit
 from hueflight.fit.tables import ModelTables
 from hueflight.model.pileup import NEGLIGIBLE, coates_correction
 
 TILE_PIXELS = 2048  #: pixels that the NumPy definition takes at a time
 
-COUNT_TYPES = (np.uint16, np.uint32, np.float32)  #: that the compiled kernel reads
+#: pixels of a thread, at least: fewer rarely share a tabulated delay and leave lanes empty
+LEAST_PER_THREAD = 2048
 
-#: tables as the kernel reads them
-_packed: WeakKeyDictionary[ModelTables, PackedTables] = WeakKeyDictionary()
+#: bytes of a block whose release makes the C library keep memory for the next picture
+KEPT_BYTES = 1 << 24
+
+COUNT_TYPES = (np.uint16, np.uint32, np.float32)  #: that the compiled kernel reads
 
 
 class _Kernel(Protocol):
@@ -43,11 +47,17 @@ class _Kernel(Protocol):
 
     def change_reference(self, *buffers: NDArray[Any]) -> None: ...
 
-    def change_significance(self, *buffers: NDArray[Any]) -> None: ...
+    def changes(self, *buffers: NDArray[Any]) -> None: ...
 
     def sums(self, *buffers: NDArray[Any]) -> None: ...
 
     def correlations(self, *buffers: NDArray[Any]) -> None: ...
+
+    def verdicts(self, *buffers: NDArray[Any]) -> None: ...
+
+    def picture(self, *buffers: NDArray[Any]) -> None: ...
+
+    def surface_starts(self, *buffers: NDArray[Any]) -> None: ...
 
 
 def compiled_kernel(bands: int = 1) -> _Kernel | None:
@@ -131,6 +141,7 @@ def fit_pixels(
     if kernel is not None and light.dtype not in COUNT_TYPES:
         light = light.astype(np.float32)
 
+    _keep_memory()
     found = no_fit(which.size, tables.bands)
 
     def fit_tile(tile: slice) -> None:
@@ -147,17 +158,38 @@ def fit_pixels(
         )
 
     # the compiled fit divides its pixels itself: each thread calls it once
-    size = TILE_PIXELS if kernel is None else -(-max(len(which), 1) // max(threads, 1))
+    size = (
+        TILE_PIXELS if kernel is None else max(-(-len(which) // max(threads, 1)), LEAST_PER_THREAD)
+    )
     tiles = [slice(start, start + size) for start in range(0, max(len(which), 1), size)]
-    if threads > 1:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(fit_tile, tiles))
+    if threads > 1 and len(tiles) > 1:
+        list(_workers(threads).map(fit_tile, tiles))
     else:
         for tile in tiles:
             fit_tile(tile)
     if per_period is not None:
         leave_unassessed(found, per_period)
     return found
+
+
+@cache
+def _keep_memory() -> None:
+    """Have the memory of a picture kept for the next one, where the C library is glibc.
+
+    It returns free memory to the system beyond twice the largest block that was freed so far; every
+    picture would then take two thousand page faults, a tenth of its time.
+    """
+    np.empty(KEPT_BYTES, np.uint8)  # is not touched, and freed at once
+
+
+@cache
+def _workers(threads: int) -> ThreadPoolExecutor:
+    """Threads that wait for pixels: starting them anew takes as long as fitting a hundred."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="fit")
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has the pool but not its threads
+    os.register_at_fork(after_in_child=_workers.cache_clear)
 
 
 def leave_unassessed(found: Fit, per_period: NDArray[np.float64]) -> None:
@@ -190,9 +222,17 @@ def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
     return survey(light)[0]
 
 
+#: what `survey` returns
+Survey = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]
+
+
 def survey(
-    counts: NDArray[Any], lit: slice = slice(None)
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    counts: NDArray[Any],
+    lit: slice = slice(None),
+    /,
+    *,
+    pixels: NDArray[np.int64] | None = None,
+) -> Survey:
     """Count the photons of each pixel in one pass, and look for full counters.
 
     Parameters
@@ -201,27 +241,31 @@ def survey(
         Counts.
     lit : slice
         Codes of photons.
+    pixels : ndarray of int64, shape (chosen,), optional
+        Pixels to look at; by default all of them.
 
     Returns
     -------
-    sums : ndarray of float, shape (pixel,)
+    sums : ndarray of float, shape (chosen,)
         Counts of all codes.
-    inside : ndarray of float, shape (pixel,)
+    inside : ndarray of float, shape (chosen,)
         Counts of the codes in `lit`.
-    full : ndarray of bool, shape (pixel,)
+    full : ndarray of bool, shape (chosen,)
         True where a counter is at the end of its integer type.
     """
     kernel = compiled_kernel()
     if kernel is None or counts.dtype not in COUNT_TYPES:
-        full = np.zeros(len(counts), bool)
+        chosen = counts if pixels is None else counts[pixels]
+        full = np.zeros(len(chosen), bool)
         if counts.dtype.kind in "ui":
-            full = (counts == np.iinfo(counts.dtype).max).any(axis=-1)
-        sums = counts.sum(axis=-1, dtype=np.float64)
-        return sums, counts[:, lit].sum(axis=-1, dtype=np.float64), full
-    sums, inside = np.empty((2, len(counts)))
-    full = np.empty(len(counts), np.uint8)
+            full = (chosen == np.iinfo(counts.dtype).max).any(axis=-1)
+        sums = chosen.sum(axis=-1, dtype=np.float64)
+        return sums, chosen[:, lit].sum(axis=-1, dtype=np.float64), full
+    if pixels is None:
+        pixels = np.arange(len(counts), dtype=np.int64)
+    sums, inside = np.empty((2, pixels.size))
+    full = np.empty(pixels.size, np.uint8)
     span = np.array(lit.indices(counts.shape[1])[:2], np.int64)
-    pixels = np.arange(len(counts), dtype=np.int64)
     kernel.sums(
         *SUMS.arguments(counts=counts, pixels=pixels, span=span, all=sums, inside=inside, full=full)
     )
@@ -234,7 +278,7 @@ def change_reference(
     found: Fit,
     offsets_ns: NDArray[np.float64],
     tables: ModelTables,
-) -> NDArray[np.float32]:
+) -> ChangeReference:
     """Return what later counts are compared with; see `change_detection.change_reference`.
 
     Parameters
@@ -252,84 +296,94 @@ def change_reference(
 
     Returns
     -------
-    ndarray of float32, shape (fitted, 2, room)
-        Counts and derivatives.
+    ChangeReference
+        References of the pixels that were fitted.
     """
     kernel = compiled_kernel(tables.bands)
     if kernel is None or light.dtype not in COUNT_TYPES:
         return change_detection.change_reference(light[pixels], found, offsets_ns, tables)
-    packed = _packed_for(tables)
-    room = -(-tables.search.starts.size // REFERENCE_MULTIPLE) * REFERENCE_MULTIPLE
-    memory = np.empty((len(pixels), 2, room), np.float32)
+    made = no_reference(len(pixels), tables)
+    made.delays_ns[:] = found.delay_ns + offsets_ns
     kernel.change_reference(
         *CHANGE_REFERENCE.arguments(
             counts=light,
             pixels=np.ascontiguousarray(pixels, np.int64),
-            **_table_buffers(tables, packed, DEFAULT),
-            delays=(found.delay_ns + offsets_ns).astype(np.float32),
+            **table_arguments(tables, DEFAULT),
+            delays=made.delays_ns,
             amplitudes=np.ascontiguousarray(found.amplitudes, np.float32),
             background=found.background.astype(np.float32),
-            reference=memory,
+            weights=made.weights,
+            sums=made.sums,
         )
     )
-    return memory
+    return made
 
 
-def change_significance(
-    now: NDArray[Any],
-    memory: NDArray[np.float32],
-    pixels: NDArray[np.int64],
-    scales: NDArray[np.float64],
-    delays_ns: NDArray[np.float64],
+def survey_changes(
+    counts: NDArray[Any],
+    lit: slice,
+    reference: ChangeReference,
     tables: ModelTables,
-) -> NDArray[np.float64]:
-    """Return how much pixels have changed; see `change_detection.change_significance`.
+    *,
+    backwards: bool = False,
+    exposures: NDArray[np.float64] | None = None,
+    earlier: NDArray[np.float64] | None = None,
+) -> tuple[Survey, NDArray[np.floating]]:
+    """Return what `survey` finds, and how much pixels have changed, in one pass.
 
     Parameters
     ----------
-    now : ndarray, shape (pixel, bin)
-        New counts of all pixels.
-    memory : ndarray of float32, shape (pixel, 2, room)
-        What `change_reference` gave for all pixels.
-    pixels : ndarray of int64, shape (chosen,)
-        Pixels to compare.
-    scales : ndarray of float, shape (chosen,)
-        Exposures now per exposure then.
-    delays_ns : ndarray of float, shape (chosen,)
-        Delays that were found, including those of the pixels themselves.
+    counts : ndarray, shape (pixel, code)
+        New counts.
+    lit : slice
+        Codes of photons.
+    reference : ChangeReference
+        The same pixels at their last fit.
     tables : ModelTables
         Tables of the fit.
+    backwards : bool
+        The last code of photons is that of the first bin.
+    exposures : ndarray of float, shape (pixel,), optional
+        Exposures behind the counts; by default the counts of all codes.
+    earlier : ndarray of float, shape (pixel,), optional
+        Exposures behind the last fit; by default as many as now.
 
     Returns
     -------
-    ndarray of float, shape (chosen,)
-        Greatest difference in standard deviations.
+    found : tuple of ndarray
+        What `survey` returns.
+    significance : ndarray of float, shape (pixel,)
+        Greatest difference in standard deviations; see `change_detection.change_significance`.
+        It means nothing where a pixel has no reference.
     """
     kernel = compiled_kernel(tables.bands)
-    if kernel is None or now.dtype not in COUNT_TYPES:
-        return change_detection.change_significance(
-            now[pixels], memory[pixels], scales, delays_ns, tables
-        )
-    packed = _packed_for(tables)
-    result = np.empty(len(pixels), np.float32)
-    kernel.change_significance(
-        *CHANGE_SIGNIFICANCE.arguments(
-            counts=now,
-            pixels=np.ascontiguousarray(pixels, np.int64),
-            **_table_buffers(tables, packed, DEFAULT),
-            delays=delays_ns.astype(np.float32),
-            scales=scales.astype(np.float32),
-            reference=memory,
-            significance=result,
+    if kernel is None or counts.dtype not in COUNT_TYPES:
+        found = survey(counts, lit)
+        now = found[0] if exposures is None else exposures
+        scales = np.ones(len(counts)) if earlier is None else now / earlier
+        light = counts[:, lit][:, ::-1] if backwards else counts[:, lit]
+        return found, change_detection.change_significance(light, reference, scales, tables)
+    sums, inside = np.empty((2, len(counts)))
+    full, significance = np.empty(len(counts), np.uint8), np.empty(len(counts), np.float32)
+    nothing = np.empty(0)
+    kernel.changes(
+        *CHANGES.arguments(
+            counts=counts,
+            pixels=np.arange(len(counts), dtype=np.int64),
+            **table_arguments(tables, DEFAULT),
+            span=np.array([*lit.indices(counts.shape[1])[:2], backwards], np.int64),
+            exposures=nothing if exposures is None else exposures,
+            earlier=nothing if earlier is None else earlier,
+            delays=reference.delays_ns,
+            weights=reference.weights,
+            kept=reference.sums,
+            all=sums,
+            inside=inside,
+            full=full,
+            significance=significance,
         )
     )
-    return result.astype(np.float64)
-
-
-def _packed_for(tables: ModelTables) -> PackedTables:
-    if tables not in _packed:
-        _packed[tables] = pack(tables)
-    return _packed[tables]
+    return (sums, inside, full.astype(bool)), significance
 
 
 def _fit_compiled(
@@ -342,42 +396,15 @@ def _fit_compiled(
     options: FitOptions,
     into: Fit,
 ) -> None:
-    packed = _packed_for(tables)
     rates = np.empty(0) if per_period is None else per_period
     kernel.fit(
         *FIT.arguments(
             counts=light,
             pixels=pixels,
-            **_table_buffers(tables, packed, options),
+            **table_arguments(tables, options),
             offsets=offsets_ns.astype(np.float32),
             rates=rates.astype(np.float32),
-            **_assessment_buffers(tables),
+            **assessment_arguments(tables),
             **into.arrays(),
         )
     )
-
-
-def _table_buffers(
-    tables: ModelTables, packed: PackedTables, options: FitOptions
-) -> dict[str, NDArray[Any]]:
-    return {
-        "sizes": sizes(tables, packed),
-        "rules": rules(tables, options),
-        "view_bins": np.array([view.bins.count for view in tables.views], np.int32),
-        **_buffers("fine", packed.fine),
-        **_buffers("wide", packed.wide),
-        **_buffers("search", packed.search),
-    }
-
-
-def _assessment_buffers(tables: ModelTables) -> dict[str, NDArray[Any]]:
-    _, means, variances = assessment.deviance_table()
-    return {
-        "contrasts": np.ascontiguousarray(tables.contrasts, np.float32),
-        "curvatures": assessment.curvature_ratios(tables.wide).astype(np.float32),
-        "moments": np.stack([means, variances], axis=1).astype(np.float32),
-    }
-
-
-def _buffers(prefix: str, tables: PackedDelays | PackedSearch) -> dict[str, NDArray[Any]]:
-    return {f"{prefix}_{name}": array for name, array in tables.arrays().items()}

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,6 +173,21 @@ class ModelTables:
     def bands(self) -> int:
         """Number of bands."""
         return self.fine.tiles.bands
+
+    def wide_counts(self, light: NDArray[Any]) -> NDArray[np.float64]:
+        """Return counts in the bins of the search.
+
+        Parameters
+        ----------
+        light : ndarray, shape (pixel, bin)
+            Counts in the sensor's bins, in time order.
+
+        Returns
+        -------
+        ndarray of float, shape (pixel, wide bin)
+            Their sums.
+        """
+        return self.search.summed(self.fine.summed(np.asarray(light, np.float64)))
 
 
 def detection_threshold(

@@ -20,7 +20,7 @@ from hueflight.model.waveforms import Templates
 
 TILE_BINS = BLOCK_BINS  #: bins of a tile
 EQUAL = 1e-6  #: edges that differ by less than this part of a bin are equal
-DARK = 1e-10  #: coefficients below this part of a band's highest give no light that is kept
+DARK = 1e-6  #: coefficients below this part of a band's highest give no light that is kept
 ROWS_AT_ONCE = 1 << 14  #: tiles that are computed together, which bounds the memory it takes
 BYTES_PER_ROW = 600  #: that values take while they are computed and cropped, measured
 BYTES_PER_TILE = 140  #: that the place of a tile takes while it is sorted, measured

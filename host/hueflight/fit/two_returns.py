@@ -11,6 +11,7 @@ the chosen pair are those of maximum likelihood.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hueflight.fit.surfaces import (
+    ScoredSurfaces,
     Surfaces,
     dense_rows,
     polish_amplitudes,
@@ -58,8 +60,8 @@ class TwoReturns:
         At the wide bins, but for a constant that the counts determine.
     chi_square : ndarray of float, shape (pixel,)
         Pearson's χ² at the wide bins per degree of freedom.
-    spread : ndarray of float, shape (pixel,)
-        Sum over the wide bins of one over the expected counts, which widens the distribution of χ².
+    chi_square_shape : ndarray of float, shape (pixel,)
+        Shape of the gamma distribution that `chi_square` has if two surfaces are all there is.
     """
 
     delay_ns: _Floats
@@ -71,7 +73,7 @@ class TwoReturns:
     background: _Floats
     log_likelihood: _Floats
     chi_square: _Floats
-    spread: _Floats
+    chi_square_shape: _Floats
 
     def take(self, chosen: NDArray[Any]) -> TwoReturns:
         """Return the fit of some of the pixels.
@@ -87,6 +89,25 @@ class TwoReturns:
             Their fit.
         """
         return TwoReturns(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+    @staticmethod
+    def joined(parts: Sequence[TwoReturns]) -> TwoReturns:
+        """Return the fits of several sets of pixels as one.
+
+        Parameters
+        ----------
+        parts : sequence of TwoReturns
+            The fits, at least one.
+
+        Returns
+        -------
+        TwoReturns
+            All pixels, one set after the other.
+        """
+        names = TwoReturns.__dataclass_fields__
+        return TwoReturns(
+            *(np.concatenate([getattr(one, name) for one in parts]) for name in names)
+        )
 
 
 def fit_two_returns(
@@ -118,52 +139,112 @@ def fit_two_returns(
         _fit_chunk(light[first : first + CHUNK], offsets_ns[first : first + CHUNK], tables, white)
         for first in range(0, max(len(light), 1), CHUNK)
     ]
-    names = TwoReturns.__dataclass_fields__
-    return TwoReturns(*(np.concatenate([getattr(one, name) for one in parts]) for name in names))
+    return TwoReturns.joined(parts)
+
+
+def fit_from_pairs(
+    light: NDArray[np.floating], offsets_ns: _Floats, tables: ModelTables, start: Surfaces
+) -> TwoReturns:
+    """Fit two surfaces whose delays and amplitudes are nearly known.
+
+    Parameters
+    ----------
+    light : ndarray, shape (pixel, bin)
+        Counts in time order, at least one count in each pixel.
+    offsets_ns : ndarray of float, shape (pixel,)
+        Delay that belongs to the pixel, not to the scene.
+    tables : ModelTables
+        Tables of the fit.
+    start : Surfaces
+        Two surfaces for each pixel.
+
+    Returns
+    -------
+    TwoReturns
+        Result for each pixel.
+    """
+    pixels = _Pixels.of(light, offsets_ns, tables)
+    coarse = pixels.scored_coarsely(start)
+    polished, likelihood, _ = polish_amplitudes(pixels.wide, coarse.state, tables.wide)
+    return pixels.refined(coarse, polished, likelihood)
 
 
 def _fit_chunk(
     light: NDArray[np.floating], offsets_ns: _Floats, tables: ModelTables, white: _Floats
 ) -> TwoReturns:
     """Fit two surfaces to a few pixels."""
-    fine = tables.fine.summed(np.asarray(light, np.float64))
-    wide = tables.search.summed(fine)
-    low, high = ((offsets_ns + bound)[:, None] for bound in tables.search_ns)
-    pixel, pairs = _candidates(wide, tables, white)
-    coarse = score_surfaces(wide[pixel], pairs, tables.wide, low[pixel], high[pixel], WIDE_STEPS)
-    polished, likelihood, _ = polish_amplitudes(wide[pixel], coarse.state, tables.wide)
+    pixels = _Pixels.of(light, offsets_ns, tables)
+    number, pairs = _candidates(pixels.wide, tables, white)
+    coarse = pixels.take(number).scored_coarsely(pairs)
+    polished, likelihood, _ = polish_amplitudes(pixels.wide[number], coarse.state, tables.wide)
     variances = coarse.variances[:, :-3].reshape(polished.amplitudes.shape)
     score = likelihood - _roughness(polished.amplitudes, variances, white)
-    chosen = _best(score, pixel, len(fine))
-    coarse, before = coarse.take(chosen), likelihood[chosen]
-    scored = score_surfaces(fine, polished.take(chosen), tables.fine, low, high, FINE_STEPS)
-    likelihood = polish_amplitudes(wide, scored.state, tables.wide)[1]
-    # where pulses of both surfaces coincide, scoring may leave the maximum
-    scored = scored.where(likelihood > before - 1, coarse)
-    _, likelihood, mean = polish_amplitudes(wide, scored.state, tables.wide)
-    freedom = max(wide.shape[-1] - 2 * tables.bands - 3, 1)
-    state, variances = scored.state, scored.variances
-    order = np.argsort(state.delays, axis=1)
+    chosen = _best(score, number, len(light))
+    return pixels.refined(coarse.take(chosen), polished.take(chosen), likelihood[chosen])
 
-    def ordered(values: _Floats) -> _Floats:
-        return np.take_along_axis(values, order.reshape(order.shape + (1,) * (values.ndim - 2)), 1)
 
-    def by_band(values: _Floats) -> _Floats:
-        return ordered(values[:, :-3].reshape(state.amplitudes.shape))
+@dataclass(frozen=True)
+class _Pixels:
+    """Counts at the fine and the wide bins (pixel, bin), and what belongs to each pixel."""
 
-    return TwoReturns(
-        delay_ns=ordered(state.delays - offsets_ns[:, None]),
-        delay_std_ns=ordered(np.sqrt(variances[:, -2:])),
-        amplitudes=ordered(state.amplitudes),
-        # a count's posterior is half a photon wider than the count (Jeffreys' prior)
-        amplitude_std=np.sqrt(by_band(variances) + 0.5),
-        inflation=by_band(variances * scored.information),
-        influence=ordered(scored.influence),
-        background=state.background,
-        log_likelihood=likelihood,
-        chi_square=((wide - mean) ** 2 / mean).sum(axis=-1) / freedom,
-        spread=(1 / mean).sum(axis=-1),
-    )
+    fine: _Floats
+    wide: _Floats
+    offsets_ns: _Floats
+    tables: ModelTables
+
+    @staticmethod
+    def of(light: NDArray[np.floating], offsets_ns: _Floats, tables: ModelTables) -> _Pixels:
+        fine = tables.fine.summed(np.asarray(light, np.float64))
+        return _Pixels(fine, tables.search.summed(fine), offsets_ns, tables)
+
+    def take(self, chosen: NDArray[np.intp]) -> _Pixels:
+        return _Pixels(self.fine[chosen], self.wide[chosen], self.offsets_ns[chosen], self.tables)
+
+    def bounds(self) -> tuple[_Floats, _Floats]:
+        """Least and greatest delay (pixel, 1)."""
+        low, high = ((self.offsets_ns + bound)[:, None] for bound in self.tables.search_ns)
+        return low, high
+
+    def scored_coarsely(self, pairs: Surfaces) -> ScoredSurfaces:
+        """Pairs, one for each pixel, after scoring at the wide bins."""
+        return score_surfaces(self.wide, pairs, self.tables.wide, *self.bounds(), WIDE_STEPS)
+
+    def refined(
+        self, coarse: ScoredSurfaces, polished: Surfaces, likelihood: _Floats
+    ) -> TwoReturns:
+        """Pairs after scoring at the fine bins."""
+        tables, wide = self.tables, self.wide
+        scored = score_surfaces(self.fine, polished, tables.fine, *self.bounds(), FINE_STEPS)
+        after = polish_amplitudes(wide, scored.state, tables.wide)[1]
+        # where pulses of both surfaces coincide, scoring may leave the maximum
+        scored = scored.where(after > likelihood - 1, coarse)
+        _, likelihood, mean = polish_amplitudes(wide, scored.state, tables.wide)
+        freedom = max(wide.shape[-1] - 2 * tables.bands - 3, 1)
+        state, variances = scored.state, scored.variances
+        order = np.argsort(state.delays, axis=1)
+
+        def ordered(values: _Floats) -> _Floats:
+            return np.take_along_axis(
+                values, order.reshape(order.shape + (1,) * (values.ndim - 2)), 1
+            )
+
+        def by_band(values: _Floats) -> _Floats:
+            return ordered(values[:, :-3].reshape(state.amplitudes.shape))
+
+        return TwoReturns(
+            delay_ns=ordered(state.delays - self.offsets_ns[:, None]),
+            delay_std_ns=ordered(np.sqrt(variances[:, -2:])),
+            amplitudes=ordered(state.amplitudes),
+            # a count's posterior is half a photon wider than the count (Jeffreys' prior)
+            amplitude_std=np.sqrt(by_band(variances) + 0.5),
+            inflation=by_band(variances * scored.information),
+            influence=ordered(scored.influence),
+            background=state.background,
+            log_likelihood=likelihood,
+            chi_square=((wide - mean) ** 2 / mean).sum(axis=-1) / freedom,
+            # as in `assessment`: few expected counts widen the distribution
+            chi_square_shape=freedom**2 / (2 * freedom + (1 / mean).sum(axis=-1)),
+        )
 
 
 def one_surface_likelihood(
@@ -193,7 +274,7 @@ def one_surface_likelihood(
     ndarray of float, shape (pixel,)
         The log-likelihood, but for a constant that the counts determine.
     """
-    wide = tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
+    wide = tables.wide_counts(light)
     state = Surfaces(arrival_ns[:, None], amplitudes[:, None], background)
     return polish_amplitudes(wide, state, tables.wide)[1]
 
@@ -219,7 +300,7 @@ def best_single(
     amplitudes : ndarray of float, shape (pixel, band)
         Photons of each band.
     """
-    wide = tables.search.summed(tables.fine.summed(np.asarray(light, np.float64)))
+    wide = tables.wide_counts(light)
     white = np.asarray(brightness, np.float64) / np.sum(brightness)
     photons = wide.sum(axis=-1) * (1 - START_BACKGROUND)
     start = photons[:, None, None] * white

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from hueflight.errors import FileFormatError, HueflightError, InstrumentError
 from hueflight.files import import_optional
-from hueflight.importers.options import AXES, ReadOptions
+from hueflight.importers.options import AXES, ReadOptions, require_instrument
 from hueflight.model.instrument import Instrument
-from hueflight.recognition import HDF5, NPY, NPZ, ZARR, why_unreadable
+from hueflight.recognition import why_unreadable
 
 COUNTS = "histogram"  #: name of the array that is read by default if there are several
 DESCRIPTIONS = ("instrument_description", "instrument")  #: entries with an instrument as JSON
-MEANT = {".npy": NPY, ".npz": NPZ, ".zarr": ZARR}  #: what a file should be by its extension
 
 
 def read_array_counts(
@@ -85,8 +84,7 @@ def read_array(path: Path, dataset: str | None) -> tuple[NDArray[Any], Instrumen
     except HueflightError:
         raise
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        meant = MEANT.get(path.suffix.lower(), HDF5)
-        raise FileFormatError(why_unreadable(path, meant, error)) from error
+        raise FileFormatError(why_unreadable(path, error)) from error
     if description is None:
         return array, None
     return array, Instrument.from_json(description, where=f"instrument in {path}")
@@ -282,15 +280,9 @@ def count_codes(codes: NDArray[Any], instrument: Instrument) -> NDArray[np.uint3
 
 def _agreed(path: Path, given: Instrument | None, described: Instrument | None) -> Instrument:
     """Return the instrument given or described by the file; they must not contradict."""
-    if given is None and described is None:
-        raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
-        )
     if given is not None and described is not None and (apart := described.differences(given)):
         raise InstrumentError(
             f"{str(path)!r} was made by instrument {described.name!r}, not {given.name!r}: "
             f"{'; '.join(apart[:3])}"
         )
-    chosen = given or described
-    assert chosen is not None  # one of them is there
-    return chosen
+    return require_instrument(given or described, path)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.arguments import COUNTS, PATH, SWITCH, TEXT, WHOLE, takes
 from hueflight.errors import FileFormatError, HistogramError, InputNotFoundError
 from hueflight.files import staged
 from hueflight.files.ages import age
@@ -87,6 +88,7 @@ class Capture:
         return found
 
 
+@takes(path=PATH, instrument=Instrument, by_step=SWITCH, dataset=TEXT, axes=TEXT, channel=WHOLE)
 def read_capture(
     path: Path,
     instrument: Instrument | None = None,
@@ -193,6 +195,7 @@ def losses(report: IngestReport) -> dict[str, int]:
     return {name: count for name, count in lost.items() if count}
 
 
+@takes(path=PATH, counts=COUNTS, instrument=Instrument)
 def write_counts(path: Path, counts: NDArray[Any], instrument: Instrument) -> None:
     """Write counts with their instrument as a compressed ``.npz`` file.
 

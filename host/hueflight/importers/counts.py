@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from hueflight.arguments import PATH, TEXT, WHOLE, takes
 from hueflight.errors import InputNotFoundError
 from hueflight.importers.options import AXES, ReadOptions
 from hueflight.importers.readers import reader_of, refuse_results
@@ -15,6 +16,7 @@ from hueflight.model.histograms import check_histogram
 from hueflight.model.instrument import Instrument
 
 
+@takes(path=PATH, instrument=Instrument, dataset=TEXT, axes=TEXT, channel=WHOLE)
 def read_counts(
     path: str | Path,
     instrument: Instrument | None = None,
@@ -41,7 +43,8 @@ def read_counts(
         array holds one raw code per pixel and frame, which are counted. An axis of length one
         may be called ``-``.
     channel : int, optional
-        Detection channel of a PTU file, counted from 0; by default the only one with photons.
+        Detection channel of a PTU or SDT file, counted from 0; by default the only one
+        with photons.
 
     Returns
     -------

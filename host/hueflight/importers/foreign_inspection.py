@@ -10,7 +10,7 @@ import numpy as np
 
 from hueflight.errors import FileFormatError
 from hueflight.files import import_optional
-from hueflight.files.inspection import READ, FileDescription, array_text, checked, reason_of
+from hueflight.files.inspection import READ, FileDescription, array_text, checked
 from hueflight.importers.matlab import matlab_arrays, read_variable
 from hueflight.importers.tcspc import RECORD_BYTES
 from hueflight.importers.text import HISTOGRAMS, REFERENCE, read_captures, read_table
@@ -137,32 +137,28 @@ def describe_ptu(path: Path, check: bool) -> FileDescription:
         announced = int(ptu.number_records)
         facts: dict[str, Any] = {
             "record_type": ptu.record_type.name,
-            "mode": "T3" if ptu.is_t3 else "T2 (without a time within a period: not readable here)",
+            "mode": "T3" if ptu.is_t3 else "T2 (times of events; points are read, images are not)",
             "image": bool(ptu.is_image),
             "records": announced,
             "bin_width_ns": float(ptu.tcspc_resolution) * 1e9,
             "period_ns": float(ptu.global_resolution) * 1e9,
             "recorded": None if ptu.datetime is None else str(ptu.datetime),
         }
-        if present < announced:
-            return FileDescription(
-                kind="PicoQuant PTU file",
-                facts=facts,
-                whole=False,
-                evidence=f"it was cut short: it holds {present} of {announced} records",
-            )
-        if check:
-            try:
-                facts |= {
-                    "channels_with_photons": [int(number) for number in ptu.active_channels],
-                    "photons": int(ptu.number_photons),
-                    "shape": dict(zip(ptu.dims, map(int, ptu.shape), strict=True)),
-                }
-            except Exception as error:  # the library raises many kinds
-                return FileDescription(
-                    kind="PicoQuant PTU file", facts=facts, whole=False, evidence=reason_of(error)
+
+        def read() -> str:
+            if present < announced:
+                raise FileFormatError(
+                    f"it was cut short: it holds {present} of {announced} records"
                 )
-    return checked("PicoQuant PTU file", facts, check, lambda: READ)
+            facts.update(
+                channels_with_photons=[int(number) for number in ptu.active_channels],
+                photons=int(ptu.number_photons),
+                shape=dict(zip(ptu.dims, map(int, ptu.shape), strict=True)),
+            )
+            return READ
+
+        # missing records show without reading the others
+        return checked("PicoQuant PTU file", facts, check or present < announced, read)
 
 
 def describe_sdt(path: Path, check: bool) -> FileDescription:

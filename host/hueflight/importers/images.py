@@ -7,10 +7,12 @@ from pathlib import Path
 
 import xarray as xr
 
+from hueflight.arguments import PATH, takes
 from hueflight.errors import FileFormatError, ImageError, InputNotFoundError, MissingPackageError
 from hueflight.files import import_optional, verify_checksums
-from hueflight.files.image_schema import require_image
-from hueflight.recognition import HDF5, IMAGE, what_is, why_unreadable
+from hueflight.files.bands import has_band_labels
+from hueflight.files.image_schema import CAPTURE_NAME, SERIES_DIM, require_image
+from hueflight.recognition import IMAGE, what_is, why_unreadable
 
 ENDINGS = (".zarr", ".nc", ".nc4")
 
@@ -32,6 +34,7 @@ def is_image(path: Path, /) -> bool:
     return ending in ENDINGS and (ending != ".zarr" or (path / "depth").is_dir())
 
 
+@takes(path=PATH)
 def read_image(path: str | Path, /) -> xr.Dataset:
     """Read an image or series that `hueflight.export` wrote as Zarr or NetCDF.
 
@@ -75,8 +78,11 @@ def read_image(path: str | Path, /) -> xr.Dataset:
     except ImageError as error:
         raise FileFormatError(f"{str(path)!r}: {error}") from None
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        raise FileFormatError(why_unreadable(path, IMAGE if store else HDF5, error)) from error
-    if "instrument_fingerprint" in image.attrs and "band_name" in image.coords:
-        # images of version 0.1.0 have the names, but not as labels for `sel`
+        raise FileFormatError(why_unreadable(path, error)) from error
+    if has_band_labels(image):
+        # images of version 0.1.0 and NetCDF files have the names, but not as labels for `sel`
         image = image.assign_coords(band=image["band_name"].values)
+    if CAPTURE_NAME in image.coords:
+        names = image[CAPTURE_NAME].values
+        image = image.drop_vars(CAPTURE_NAME).assign_coords({SERIES_DIM: names})
     return image

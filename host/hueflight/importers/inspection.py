@@ -35,18 +35,7 @@ from hueflight.importers.foreign_inspection import (
 )
 from hueflight.importers.images import read_image
 from hueflight.model.instrument import Instrument
-from hueflight.recognition import (
-    HDF5,
-    MATLAB,
-    NPY,
-    NPZ,
-    PTU,
-    SDT,
-    TEXT,
-    ZARR,
-    what_is,
-    why_unreadable,
-)
+from hueflight.recognition import what_is, why_unreadable
 
 PIECE_BYTES = 1 << 26  #: of an array that are read at a time
 
@@ -90,7 +79,7 @@ def describe_file(path: Path, /, *, check: bool = False) -> FileDescription:
     except HueflightError:
         raise
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        raise FileFormatError(why_unreadable(path, _MEANT[ending], error)) from error
+        raise FileFormatError(why_unreadable(path, error)) from error
 
 
 def instrument_facts(instrument: Instrument) -> dict[str, Any]:
@@ -300,16 +289,4 @@ _DESCRIBERS: dict[str, Callable[[Path, bool], FileDescription]] = {
     ".json": describe_json,
     ".jsonl": describe_json,
     ".toml": _describe_toml,
-}
-
-#: what a file should be by its extension
-_MEANT = {
-    **dict.fromkeys((".nc", ".nc4", ".h5", ".hdf5", ".hdf"), HDF5),
-    ".npz": NPZ,
-    ".npy": NPY,
-    ".zarr": ZARR,
-    ".ptu": PTU,
-    ".sdt": SDT,
-    ".mat": MATLAB,
-    **dict.fromkeys((".csv", ".json", ".jsonl", ".toml"), TEXT),
 }

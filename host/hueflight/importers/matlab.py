@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import FileFormatError, HueflightError, InstrumentError
+from hueflight.errors import FileFormatError, HueflightError
 from hueflight.files import import_optional
 from hueflight.importers.arrays import arranged, choose_array
-from hueflight.importers.options import ReadOptions
+from hueflight.importers.options import ReadOptions, require_instrument
 from hueflight.model.instrument import Instrument
-from hueflight.recognition import HDF5, MATLAB, why_unreadable
+from hueflight.recognition import why_unreadable
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_AT = 512  #: bytes of MATLAB's own header before the HDF5 file
@@ -51,19 +51,16 @@ def read_mat(
         If the instrument is missing.
     """
     options.refuse_all_but("dataset", "axes", path=path)
-    if instrument is None:
-        raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
-        )
+    given = require_instrument(instrument, path)
     try:
+        # single numbers, such as a bin width, are no counts
         names = [name for name, (shape, _) in matlab_arrays(path).items() if np.prod(shape) > 1]
         array = read_variable(path, choose_array(path, names, options.dataset))
     except HueflightError:
         raise
     except Exception as error:  # the libraries raise many kinds of errors for damaged files
-        meant = HDF5 if _is_hdf5(path) else MATLAB
-        raise FileFormatError(why_unreadable(path, meant, error)) from error
-    return arranged(array, options.axes, instrument), instrument
+        raise FileFormatError(why_unreadable(path, error)) from error
+    return arranged(array, options.axes, given), given
 
 
 def matlab_arrays(path: Path, /) -> dict[str, tuple[tuple[int, ...], str]]:

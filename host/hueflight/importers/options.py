@@ -6,7 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from hueflight.errors import FileFormatError
+from hueflight.errors import FileFormatError, InstrumentError
+from hueflight.model.instrument import Instrument
 
 AXES = "row,col,code"  #: axes of an array of counts, unless others are named
 
@@ -51,3 +52,30 @@ class ReadOptions:
                     f"{str(path)!r}: files of this kind have no {field.name}; leave "
                     f"{field.name} = {value!r} out (--{field.name})"
                 )
+
+
+def require_instrument(instrument: Instrument | None, path: Path, /) -> Instrument:
+    """Return the instrument of a file that describes none itself.
+
+    Parameters
+    ----------
+    instrument : Instrument, optional
+        Instrument that was given.
+    path : pathlib.Path
+        Path of the file, for the message.
+
+    Returns
+    -------
+    Instrument
+        The instrument that was given.
+
+    Raises
+    ------
+    InstrumentError
+        If none was given.
+    """
+    if instrument is None:
+        raise InstrumentError(
+            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
+        )
+    return instrument

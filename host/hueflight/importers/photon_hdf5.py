@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from hueflight.errors import FileFormatError, InstrumentError
 from hueflight.files import import_optional
 from hueflight.importers.arrays import read_array_counts
-from hueflight.importers.options import ReadOptions
+from hueflight.importers.options import ReadOptions, require_instrument
 from hueflight.model.instrument import Instrument
-from hueflight.recognition import HDF5, why_unreadable
+from hueflight.recognition import why_unreadable
 
 GROUP = "photon_data"
 TOLERANCE = 1e-3  #: relative, of the width of a bin
@@ -61,16 +61,13 @@ def read_hdf5(
                 if options.dataset is None and f"{GROUP}/{name}" in file
             }
     except OSError as error:
-        raise FileFormatError(why_unreadable(path, HDF5, error)) from error
+        raise FileFormatError(why_unreadable(path, error)) from error
     if "nanotimes" not in found:
         return read_array_counts(path, instrument, options)
     times, detectors = found["nanotimes"], found.get("detectors")
     unit_s = found.get("nanotimes_specs/tcspc_unit")
     options.refuse_all_but("channel", path=path)
-    if instrument is None:
-        raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
-        )
+    instrument = require_instrument(instrument, path)
     if instrument.image_shape != (1, 1):
         raise InstrumentError(
             f"{str(path)!r} holds the photons of a point, but the instrument has "

@@ -19,13 +19,15 @@ from numpy.typing import NDArray
 from hueflight.errors import FileFormatError, HueflightError, InstrumentError
 from hueflight.files import import_optional
 from hueflight.importers.options import ReadOptions
+from hueflight.importers.time_tags import time_tag_histograms
 from hueflight.model.instrument import Band, Instrument, Sensor, Timing
 from hueflight.model.time_bins import TimeBins
-from hueflight.recognition import PTU, SDT, what_is, why_unreadable
+from hueflight.recognition import what_is, why_unreadable
 
 BIN_WIDTH_TOLERANCE = 1e-3  #: relative; over a whole period it shifts a pulse by about a bin
 
 RECORD_BYTES = 4  #: of an event in a PTU file
+DECAY_BLOCKS = ("DECAY_BLOCK", "PAGE_BLOCK", "IMG_BLOCK")  #: of SDT files
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,10 @@ class _Decays:
 def read_ptu(
     path: Path, instrument: Instrument | None, options: ReadOptions, /
 ) -> tuple[NDArray[Any], Instrument]:
-    """Read the histogram of one channel of a PTU file in T3 mode, as the sum of all frames.
+    """Read the histogram of one channel of a PTU file, as the sum of all frames.
+
+    Of files in T2 mode, which hold the absolute times of events, only measurements of one point are
+    read: a photon's time is what has passed since the sync event before it.
 
     Parameters
     ----------
@@ -67,7 +72,8 @@ def read_ptu(
     """
     options.refuse_all_but("channel", path=path)
     given = _given(instrument, path)
-    return _coded(_ptu_decays(path, options.channel), given, path), given
+    width_ns = given.sensor.bin_width_ns
+    return _coded(_ptu_decays(path, options.channel, width_ns), given, path), given
 
 
 def read_sdt(
@@ -82,7 +88,7 @@ def read_sdt(
     instrument : Instrument
         Instrument that made the counts, which such files do not describe.
     options : ReadOptions
-        Number of the data block, as `dataset`.
+        Number of the data block, as `dataset`, and detection channel, where a block has several.
 
     Returns
     -------
@@ -98,9 +104,9 @@ def read_sdt(
     InstrumentError
         If the instrument is missing or does not fit the file.
     """
-    options.refuse_all_but("dataset", path=path)
+    options.refuse_all_but("dataset", "channel", path=path)
     given = _given(instrument, path)
-    return _coded(_sdt_decays(path, options.dataset), given, path), given
+    return _coded(_sdt_decays(path, options.dataset, options.channel), given, path), given
 
 
 def tcspc_instrument(
@@ -123,7 +129,7 @@ def tcspc_instrument(
     name : str, optional
         Name of the instrument; by default that of the file.
     channel : int, optional
-        Detection channel of a PTU file; by default the only one with photons.
+        Detection channel; by default the only one with photons.
     block : str, optional
         Number of the data block of an SDT file; by default the only one.
 
@@ -144,7 +150,7 @@ def tcspc_instrument(
         seems = what_is(path) if path.exists() else "no file that exists"
         raise FileFormatError(f"{str(path)!r} is {seems}: give a .ptu or .sdt file")
     ptu = path.suffix.lower() == ".ptu"
-    decays = _ptu_decays(path, channel) if ptu else _sdt_decays(path, block)
+    decays = _ptu_decays(path, channel, None) if ptu else _sdt_decays(path, block, channel)
     rows, cols, bins = decays.counts.shape
     needed = bins
     if decays.period_ns is not None:
@@ -163,79 +169,107 @@ def tcspc_instrument(
     )
 
 
-def _ptu_decays(path: Path, channel: int | None) -> _Decays:
+def _ptu_decays(path: Path, channel: int | None, bin_width_ns: float | None) -> _Decays:
+    """Counts of a channel; in T2 mode, in bins of the given width."""
     ptufile = import_optional("ptufile", extra="import")
     try:
         with ptufile.PtuFile(path) as ptu:
-            if not ptu.is_t3:
-                raise FileFormatError(
-                    f"{str(path)!r} was measured in T2 mode: it has no time within a period; T3 "
-                    "is needed"
-                )
             present = (path.stat().st_size - ptu.record_offset) // RECORD_BYTES
             if present < ptu.number_records:
                 raise FileFormatError(
                     f"{str(path)!r} was cut short: its header announces {ptu.number_records} "
                     f"records, but it holds {max(present, 0)}. Copy or export it again"
                 )
-            active = sorted(ptu.active_channels)
-            if channel is None and len(active) > 1:
-                raise FileFormatError(
-                    f"{str(path)!r} has photons in channels {active}: say which with channel "
-                    "(--channel)"
-                )
-            if channel is not None and channel not in active:
-                raise FileFormatError(
-                    f"{str(path)!r} has no photons in channel {channel}; it has {active}"
-                )
-            if not active:
-                raise FileFormatError(f"{str(path)!r} has no photons in any channel")
-            # the arrays have an axis of all channels from the first to the last with photons
-            which = (active[0] if channel is None else channel) - active[0]
-            if ptu.is_image:
-                # the sum of all frames; 32 bits, so that bright pixels do not overflow
-                cube = ptu.decode_image(frame=-1, channel=which, dtype=np.uint32, keepdims=True)
-                counts = cube[0, :, :, 0, :]
-            else:
-                counts = ptu.decode_histogram()[which][None, None]
-            return _Decays(
-                counts, float(ptu.tcspc_resolution) * 1e9, float(ptu.global_resolution) * 1e9
-            )
+            if ptu.is_t3:
+                return _t3_decays(path, ptu, channel)
+            return _t2_decays(path, ptu, channel, bin_width_ns)
     except HueflightError:
         raise
     except Exception as error:  # the library raises many kinds of errors for damaged files
-        raise FileFormatError(why_unreadable(path, PTU, error)) from error
+        raise FileFormatError(why_unreadable(path, error)) from error
 
 
-def _sdt_decays(path: Path, block: str | None) -> _Decays:
+def _t3_decays(path: Path, ptu: Any, channel: int | None) -> _Decays:
+    active = sorted(ptu.active_channels)
+    # the arrays have an axis of all channels from the first to the last with photons
+    which = _chosen_channel(path, active, channel) - active[0]
+    if ptu.is_image:
+        # the sum of all frames; 32 bits, so that bright pixels do not overflow
+        cube = ptu.decode_image(frame=-1, channel=which, dtype=np.uint32, keepdims=True)
+        counts = cube[0, :, :, 0, :]
+    else:
+        counts = ptu.decode_histogram()[which][None, None]
+    return _Decays(counts, float(ptu.tcspc_resolution) * 1e9, float(ptu.global_resolution) * 1e9)
+
+
+def _t2_decays(path: Path, ptu: Any, channel: int | None, bin_width_ns: float | None) -> _Decays:
+    if bin_width_ns is None:
+        raise FileFormatError(
+            f"{str(path)!r} was measured in T2 mode: it holds times of events, but no bins. "
+            "Describe the instrument without it (--rows 1 --cols 1 --code-bits ... --bin-width ...)"
+        )
+    histograms, period_ns = time_tag_histograms(path, ptu, bin_width_ns=bin_width_ns)
+    counts = histograms[_chosen_channel(path, sorted(histograms), channel)]
+    return _Decays(counts[None, None], bin_width_ns, period_ns)
+
+
+def _chosen_channel(path: Path, active: list[int], channel: int | None) -> int:
+    """Return the channel that was asked for, or the only one with photons."""
+    if not active:
+        raise FileFormatError(f"{str(path)!r} has no photons in any channel")
+    if channel is None and len(active) > 1:
+        raise FileFormatError(
+            f"{str(path)!r} has photons in channels {active}: say which with channel (--channel)"
+        )
+    if channel is not None and channel not in active:
+        raise FileFormatError(f"{str(path)!r} has no photons in channel {channel}; it has {active}")
+    return active[0] if channel is None else channel
+
+
+def _sdt_decays(path: Path, block: str | None, channel: int | None) -> _Decays:
     sdtfile = import_optional("sdtfile", extra="import")
     try:
         # opened here, because the library leaves a damaged file open
         with path.open("rb") as file:
             sdt = sdtfile.SdtFile(file)
             blocks, times = list(sdt.data), list(sdt.times)
+            kinds = [
+                sdtfile.sdtfile.BlockType(head.block_type).contents for head in sdt.block_headers
+            ]
     except Exception as error:  # the library raises many kinds of errors for damaged files
-        raise FileFormatError(why_unreadable(path, SDT, error)) from error
+        raise FileFormatError(why_unreadable(path, error)) from error
     if not blocks:
         raise FileFormatError(f"{str(path)!r} holds no data block")
-    if block is None and len(blocks) > 1:
-        shapes = ", ".join(f"{i}: {data.shape}" for i, data in enumerate(blocks))
+    decays = [number for number, kind in enumerate(kinds) if kind in DECAY_BLOCKS]
+    if block is None and len(decays) != 1:
+        listed = ", ".join(f"{i}: {kinds[i]} {data.shape}" for i, data in enumerate(blocks))
         raise FileFormatError(
-            f"{str(path)!r} holds {len(blocks)} data blocks ({shapes}): say which with dataset "
-            "(--dataset)"
+            f"{str(path)!r} holds {len(blocks)} data blocks ({listed}), {len(decays)} of them with "
+            "decays: say which with dataset (--dataset)"
         )
-    number = block or "0"
+    number = str(decays[0]) if block is None else block
     if not number.isdecimal() or int(number) >= len(blocks):
         raise FileFormatError(
             f"{str(path)!r} has no data block {block!r}: there are 0 to {len(blocks) - 1}"
         )
-    data, time_s = blocks[int(number)], times[int(number)]
-    if data.ndim > 3 or data.shape[-1] < 2:
+    data, time_s, kind = blocks[int(number)], times[int(number)], kinds[int(number)]
+    if kind not in DECAY_BLOCKS or data.shape[-1] < 2:
         raise FileFormatError(
-            f"{str(path)!r}: data block {number} of shape {data.shape} is not an image of decays"
+            f"{str(path)!r}: data block {number} is a {kind} of shape {data.shape}, not decays "
+            f"({', '.join(DECAY_BLOCKS)})"
         )
-    counts = data.reshape((1,) * (3 - data.ndim) + data.shape)
+    counts = _sdt_channel(path, data, channel)
     return _Decays(counts, float(time_s[1] - time_s[0]) * 1e9, None)
+
+
+def _sdt_channel(path: Path, data: NDArray[Any], channel: int | None) -> NDArray[Any]:
+    """Counts (row, col, bin) of a channel of a block (channel..., row, col, bin)."""
+    counts = data.reshape((1,) * (3 - data.ndim) + data.shape)
+    counts = counts.reshape(-1, *counts.shape[-3:])
+    active = [number for number, image in enumerate(counts) if image.any()]
+    if counts.shape[0] == 1 and channel is None:
+        return counts[0]
+    return counts[_chosen_channel(path, active, channel)]
 
 
 def _given(instrument: Instrument | None, path: Path) -> Instrument:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.errors import FileFormatError, InstrumentError
-from hueflight.importers.options import ReadOptions
+from hueflight.errors import FileFormatError
+from hueflight.importers.options import ReadOptions, require_instrument
 from hueflight.model.instrument import Instrument
 from hueflight.recognition import what_is
 
@@ -56,7 +56,7 @@ def read_csv(
         If the instrument is missing.
     """
     options.refuse_all_but(path=path)
-    given = _given(instrument, path)
+    given = require_instrument(instrument, path)
     titles, table = read_table(path)
     rows, cols = given.image_shape
     if titles[:2] == ["row", "col"]:
@@ -110,7 +110,7 @@ def read_json_log(
         If the instrument is missing.
     """
     options.refuse_all_but("dataset", path=path)
-    given = _given(instrument, path)
+    given = require_instrument(instrument, path)
     captures = read_captures(path)
     wanted, _, part = (options.dataset or "").partition(":")
     if not wanted and len(captures) > 1:
@@ -133,14 +133,6 @@ def read_json_log(
     if part:
         total = np.tile(total.reshape(1, -1), (int(np.prod(given.image_shape)), 1))
     return _pixels(np.atleast_2d(total), given, path), given
-
-
-def _given(instrument: Instrument | None, path: Path) -> Instrument:
-    if instrument is None:
-        raise InstrumentError(
-            f"{str(path)!r} does not say which instrument made its counts: give one (--instrument)"
-        )
-    return instrument
 
 
 def read_table(path: Path, /) -> tuple[list[str], NDArray[np.float64]]:

@@ -127,12 +127,32 @@ class PacketBuffer:
         self.scanner.clear()
 
 
-def pieces(buffer: PacketBuffer, data: bytes | bytearray | memoryview, /) -> Iterator[int]:
-    """Copy `data` into a buffer piece by piece; the caller makes room between the pieces."""
-    view = memoryview(data).cast("B") if len(data) else memoryview(b"")
-    while view:
-        part = view[: buffer.room]
-        buffer.writable()[: len(part)] = part
-        buffer.commit(len(part))
-        view = view[len(part) :]
-        yield len(part)
+def pieces(buffer: PacketBuffer, /, *data: bytes | bytearray | memoryview) -> Iterator[int]:
+    """Copy bytes into a buffer; the caller makes room whenever it is full, and looks at the end.
+
+    Parameters
+    ----------
+    buffer : PacketBuffer
+        Buffer that receives them.
+    *data : bytes-like
+        Consecutive parts of the stream.
+
+    Yields
+    ------
+    int
+        Number of bytes that were copied since the last time.
+    """
+    copied = 0
+    for piece in data:
+        view = memoryview(piece).cast("B") if len(piece) else memoryview(b"")
+        while view:
+            part = view[: buffer.room]
+            buffer.writable()[: len(part)] = part
+            buffer.commit(len(part))
+            copied += len(part)
+            view = view[len(part) :]
+            if not buffer.room:
+                yield copied
+                copied = 0
+    if copied:
+        yield copied

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface to the two kernels, compiled or in NumPy, whose results are bit-identical.
+"""The interface to the kernels, compiled or in NumPy.
 
-Both implementations are modules with the functions `scan` and `count`; `hueflight.backend` decides
-which of them is used.
+Counts are bit-identical; significances may differ in the last digits.
+
+Both implementations are modules with the functions of `Kernels`; `hueflight.backend` decides which
+of them is used.
 """
 
 from __future__ import annotations
@@ -67,7 +69,7 @@ class Scanned(NamedTuple):
 
 
 class Kernels(Protocol):
-    """Two functions over buffers; `numpy_scan.scan` and `numpy_count.count` document them."""
+    """Functions over buffers; the modules ``numpy_…`` document them."""
 
     def scan(
         self,
@@ -110,6 +112,56 @@ class Kernels(Protocol):
         """Count the codes of scanned frames; return photons, clipped counts, tiles left out."""
         ...
 
+    def group_counts(
+        self,
+        histogram: NDArray[np.unsignedinteger[Any]],
+        wide: bool,
+        rows: int,
+        cols: int,
+        codes: int,
+        group: int,
+        leave_first: bool,
+        out: NDArray[np.float64],
+        /,
+    ) -> None:
+        """Count photons by tiles of pixels and groups of codes."""
+        ...
+
+    def gather(
+        self,
+        total: NDArray[np.unsignedinteger[Any]],
+        total_wide: bool,
+        histogram: NDArray[np.unsignedinteger[Any]],
+        histogram_wide: bool,
+        anew: NDArray[np.bool_],
+        rows: int,
+        cols: int,
+        codes: int,
+        out: NDArray[np.unsignedinteger[Any]],
+        out_wide: bool,
+        /,
+    ) -> None:
+        """Add a histogram to a sum that begins anew in some tiles."""
+        ...
+
+    def significance(
+        self,
+        newest: NDArray[np.float64],
+        earlier: NDArray[np.float64],
+        ratio: NDArray[np.float64],
+        rows: int,
+        cols: int,
+        groups: int,
+        size: int,
+        window: int,
+        brightness_tolerance: float,
+        shift_tolerance: float,
+        out: NDArray[np.float64],
+        /,
+    ) -> None:
+        """Compare counts with what earlier counts predict."""
+        ...
+
 
 def available() -> dict[str, Kernels]:
     """Return the usable implementations by name.
@@ -136,7 +188,7 @@ def choose(name: str | None = None, /) -> Kernels:
     Returns
     -------
     Kernels
-        The functions `scan` and `count`.
+        Its functions.
 
     Raises
     ------

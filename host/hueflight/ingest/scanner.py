@@ -79,24 +79,29 @@ class Scanner:
 
     def scan(self, data: Buffer, start: int, *, final: bool, limit: int | None = None) -> Scanned:
         """Continue from byte `start` and add frames to the tables until there are `limit`."""
-        found = Scanned(
-            *self.kernels.scan(
-                data,
-                start,
-                final,
-                self.sensor.rows,
-                self.sensor.cols,
-                self.sensor.code_bits,
-                self.frames,
-                min(limit or self.limit, self.limit),
-                self.run if self.frames else 0,
-                self.state,
-                self.chunks,
-                self.headers,
-                self.places,
-                self.others,
+        before = self.state.copy()
+        try:
+            found = Scanned(
+                *self.kernels.scan(
+                    data,
+                    start,
+                    final,
+                    self.sensor.rows,
+                    self.sensor.cols,
+                    self.sensor.code_bits,
+                    self.frames,
+                    min(limit or self.limit, self.limit),
+                    self.run if self.frames else 0,
+                    self.state,
+                    self.chunks,
+                    self.headers,
+                    self.places,
+                    self.others,
+                )
             )
-        )
+        except MemoryError:  # the packets will be scanned again, and must not count twice
+            self.state[:] = before
+            raise
         self.frames, self.run, self.stride = found.frames, found.run, found.stride
         return found
 

@@ -18,6 +18,8 @@ from hueflight.ingest.report import IngestReport
 from hueflight.ingest.sliding_sum import SlidingSum
 from hueflight.model.instrument import Instrument
 
+MOST_SPARE = 3  #: histograms that wait to be used again; more would only occupy memory
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
@@ -210,7 +212,8 @@ class HistogramStream:
         block : Block
             A block of this stream.
         """
-        self._spare += [counts for counts in block.counts.values() if counts.dtype == np.uint16]
+        given = [counts for counts in block.counts.values() if counts.dtype == np.uint16]
+        self._spare += given[: max(0, MOST_SPARE - len(self._spare))]
 
     def _advance(self, *, final: bool) -> list[Block]:
         blocks: list[Block] = []

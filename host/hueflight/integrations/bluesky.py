@@ -121,7 +121,7 @@ class _Camera:
 
     @property
     def rate_hz(self) -> float:
-        return self.client.instrument.sensor.frame_rate_hz or 1000.0
+        return self.client.instrument.sensor.usual_frame_rate_hz
 
     async def connect(self, timeout_s: float, *, anew: bool) -> None:
         if self._client is not None and anew:

@@ -35,7 +35,8 @@ class HueflightCamera(unicore.CameraDevice):
 
     The exposure is the time of the frames behind an image. An image that is snapped has photons
     of after the call only. Those of a sequence come at the daemon's rate, and one that exposes for
-    longer than the time between two overlaps with the one before.
+    longer than the time between two overlaps with the one before. A sensor whose description states
+    no frame rate counts as one of 1000 frames per second.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ class HueflightCamera(unicore.CameraDevice):
         self._client = connect(self._address, token=self._token)
         instrument = self._client.instrument
         self._arrays = picture_arrays(instrument)
-        self._frame_rate_hz = instrument.sensor.frame_rate_hz or 1000.0
+        self._frame_rate_hz = instrument.sensor.usual_frame_rate_hz
         self._exposure = self._client.set_frames(0)
         self.register_property(
             IMAGE,

@@ -28,8 +28,6 @@ class PictureStore:
         Instrument of the pictures.
     names : sequence of str
         Arrays to keep, of `hueflight.integrations.planes.picture_arrays`.
-    attributes : dict of str, optional
-        Further attributes of the group.
 
     Attributes
     ----------
@@ -46,15 +44,7 @@ class PictureStore:
         If the store exists already or can't be written, or an array is unknown.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        instrument: Instrument,
-        names: Sequence[str],
-        /,
-        *,
-        attributes: dict[str, str] | None = None,
-    ) -> None:
+    def __init__(self, path: Path, instrument: Instrument, names: Sequence[str], /) -> None:
         known = picture_arrays(instrument)
         unknown = [name for name in names if name not in known]
         if unknown:
@@ -62,8 +52,8 @@ class PictureStore:
         self.path, self.count = path, 0
         self.arrays = {name: known[name] for name in names}
         try:
-            self._group = zarr.create_group(store=path, attributes=dict(attributes or {}))
-            self._group.attrs["instrument_description"] = instrument.to_json()
+            described = {"instrument_description": instrument.to_json()}
+            self._group = zarr.create_group(store=path, attributes=described)
             self._members = {name: self._make(name, kept) for name, kept in self.arrays.items()}
             self._frames = self._number("frames", "u4")
             self._received = self._number("received_unix_s", "f8")

@@ -27,8 +27,6 @@ class PictureArray:
         Type of its values.
     unit : str
         Unit of its values.
-    components : tuple of str
-        Names of the components; empty for a single one.
     read : callable
         Returns the array of a picture.
     """
@@ -36,7 +34,6 @@ class PictureArray:
     shape: tuple[int, ...]
     dtype: np.dtype
     unit: str
-    components: tuple[str, ...]
     read: Callable[[xr.Dataset], NDArray]
 
     def of(self, picture: xr.Dataset, /) -> NDArray:
@@ -88,28 +85,26 @@ def picture_arrays(instrument: Instrument, /) -> Mapping[str, PictureArray]:
         def read(picture: xr.Dataset) -> NDArray:
             return picture[name].transpose("row", "col").values
 
-        return PictureArray(shape, np.dtype(dtype), unit, (), read)
+        return PictureArray(shape, np.dtype(dtype), unit, read)
 
     def cube(name: str) -> PictureArray:
         def read(picture: xr.Dataset) -> NDArray:
             return picture[name].transpose("row", "col", "band").values
 
-        return PictureArray((*shape, len(names)), np.dtype("f4"), "1", names, read)
+        return PictureArray((*shape, len(names)), np.dtype("f4"), "1", read)
 
     def band(name: str, number: int) -> PictureArray:
         def read(picture: xr.Dataset) -> NDArray:
             return picture[name].transpose("row", "col", "band").values[..., number]
 
-        return PictureArray(shape, np.dtype("f4"), "1", (), read)
+        return PictureArray(shape, np.dtype("f4"), "1", read)
 
     found = {
         "photons": plane("photons", "u4", "count"),
         "depth": plane("depth", "f4", "m"),
         "depth_std": plane("depth_std", "f4", "m"),
         "quality": plane("quality", "u2", "1"),
-        "color": PictureArray(
-            (*shape, 3), np.dtype("u1"), "1", ("red", "green", "blue"), color.shown
-        ),
+        "color": PictureArray((*shape, 3), np.dtype("u1"), "1", color.shown),
     }
     for name in ("reflectance", "reflectance_std"):
         found[name] = cube(name)

@@ -79,6 +79,7 @@ def picture_of_message(message: Message, /) -> xr.Dataset:
         kind[name] = (plane.dims, _native(plane.values), dict(plane.attrs))
     if names is not None:
         coordinates[_BAND_NAMES] = ("band", np.array(names, dtype=str))
+        coordinates["band"] = ("band", np.array(names, dtype=str))  # labels, for `sel`
     try:
         return xr.Dataset(variables, coordinates, attrs)
     except ValueError as error:

@@ -107,7 +107,9 @@ def encode_message(header: Mapping[str, Any], planes: Iterable[Plane], /) -> byt
     MessageError
         If a plane has a type that messages do not hold.
     """
-    entries, parts, offset = [], [], 0
+    entries: list[dict[str, Any]] = []
+    parts: list[bytes | memoryview] = []
+    offset = 0
     for plane in planes:
         values = plane.values
         if values.dtype.name not in TYPES:
@@ -115,7 +117,7 @@ def encode_message(header: Mapping[str, Any], planes: Iterable[Plane], /) -> byt
                 f"plane {plane.name!r} has type {values.dtype}: convert it to one of "
                 f"{', '.join(TYPES)}"
             )
-        data = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).tobytes()
+        data = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
         entries.append(
             {
                 "name": plane.name,
@@ -127,9 +129,9 @@ def encode_message(header: Mapping[str, Any], planes: Iterable[Plane], /) -> byt
                 "coordinate": plane.coordinate,
             }
         )
-        data += bytes(-len(data) % _ALIGNMENT)
-        parts.append(data)
-        offset += len(data)
+        padding = -data.nbytes % _ALIGNMENT
+        parts += [data.reshape(-1).view(np.uint8).data, bytes(padding)]
+        offset += data.nbytes + padding
     content = {"version": VERSION, **header, "planes": entries}
     text = msgspec.json.encode(content, enc_hook=_plain)
     text += b" " * (-(4 + len(text)) % _ALIGNMENT)

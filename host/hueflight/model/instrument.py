@@ -12,7 +12,7 @@ import itertools
 import tomllib
 from functools import cache
 from importlib import resources
-from math import inf, isfinite
+from math import atan, degrees, inf, isfinite
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -20,8 +20,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.arguments import PATH, takes
 from hueflight.errors import InstrumentError, InstrumentNotFoundError
-from hueflight.model.instrument_text import facts_html, instrument_facts, instrument_toml
+from hueflight.model.instrument_text import (
+    facts_html,
+    instrument_facts,
+    instrument_toml,
+    one_screen,
+)
 from hueflight.model.pulses import Pulse, gaussian_sigma
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.validation_text import plain_reason
@@ -29,6 +35,7 @@ from hueflight.recognition import what_is
 
 SPEED_OF_LIGHT_M_PER_NS = 0.299792458  #: exact, SI
 SHORTEST_NM = 50.0  #: light of shorter waves was stated in micrometers
+USUAL_FRAME_RATE_HZ = 1000.0  #: of a sensor whose frame rate is not stated
 USUAL_FWHM_NM = 20.0  #: of an LED whose emission spectrum is not stated
 
 
@@ -161,6 +168,11 @@ class Sensor(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def codes(self) -> int:
         """Number of codes, 2**code_bits: the length of a histogram's last axis."""
         return 1 << self.code_bits
+
+    @property
+    def usual_frame_rate_hz(self) -> float:
+        """Frame rate that is stated, or `USUAL_FRAME_RATE_HZ` to plan with where none is."""
+        return self.frame_rate_hz or USUAL_FRAME_RATE_HZ
 
     @property
     def reports_empty(self) -> bool:
@@ -374,6 +386,7 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
 
     @classmethod
+    @takes(source=PATH)
     def load(cls, source: str | Path) -> Instrument:
         """Load a preset, or read an instrument from a TOML file.
 
@@ -513,11 +526,11 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         return instrument_facts(self)
 
     def __repr__(self) -> str:
-        lines = [f"  {key}: {value}" for key, value in self.facts().items() if value is not None]
+        lines = [f"  {key}: {value}" for key, value in one_screen(self.facts()).items()]
         return "\n".join([f"<Instrument {self.name!r}>", *lines])
 
     def _repr_html_(self) -> str:
-        return facts_html(f"Instrument {self.name}", self.facts())
+        return facts_html(f"Instrument {self.name}", one_screen(self.facts()))
 
     def fingerprint(self) -> str:
         """Compute a short digest of everything that counts depend on.
@@ -697,6 +710,30 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
         """
         x, y = self.ray_slopes()
         return 1 / np.sqrt(1 + x**2 + y**2)
+
+    def viewing_angles_deg(self, pixels: tuple[int, int], /) -> tuple[float, float] | None:
+        """Compute the angles that a block of pixels around the optical axis covers.
+
+        Parameters
+        ----------
+        pixels : tuple of int
+            Rows and columns of the block: ``(1, 1)`` for one pixel, `image_shape` for the field of
+            view.
+
+        Returns
+        -------
+        tuple of float or None
+            Angles across and down between the outer edges, degrees; None without a lens.
+        """
+        if self.lens is None:
+            return None
+        rows, cols = pixels
+        width_um, height_um = self.sensor.pixel_width_um, self.sensor.pixel_height_um
+        assert width_um is not None  # checked in __post_init__
+        assert height_um is not None
+        half_mm = 0.5e-3 * cols * width_um, 0.5e-3 * rows * height_um
+        across, down = (2 * degrees(atan(half / self.lens.focal_length_mm)) for half in half_mm)
+        return across, down
 
     def ray_slopes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Compute the direction of each pixel's ray as slopes against the optical axis.

@@ -11,12 +11,14 @@ import json
 import re
 from dataclasses import dataclass
 from inspect import cleandoc
-from math import atan, degrees
+from textwrap import shorten
 from typing import Any
 
 import msgspec
 
 TABLES = ("sensor", "timing", "lens", "bands")  #: entries of an instrument that are tables
+SHOWN_BANDS = 12  #: of an instrument on one screen
+SHOWN_CHARACTERS = 200  #: of its description
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ def instrument_facts(instrument: Any, /) -> dict[str, Any]:
     """
     sensor, timing, lens = instrument.sensor, instrument.timing, instrument.lens
     rows, cols = instrument.image_shape
+    angles = instrument.viewing_angles_deg(instrument.image_shape)
     shown: dict[str, Any] = {
         "instrument": instrument.name,
         "description": instrument.description or None,
@@ -115,9 +118,9 @@ def instrument_facts(instrument: Any, /) -> dict[str, Any]:
         "period_ns": timing.period_ns,
         "latency_ns": timing.latency_ns,
         "lens": "none: the directions of the pixels are unknown"
-        if lens is None
+        if angles is None
         else f"{lens.focal_length_mm:g} mm, f/{lens.f_number:g}, "
-        f"field of view {_field_of_view(instrument)}",
+        f"field of view {angles[0]:.1f}° × {angles[1]:.1f}°",
     }
     for band in instrument.bands:
         delays = ", ".join(f"{delay:g}" for delay in band.delays_ns[:4])
@@ -128,6 +131,33 @@ def instrument_facts(instrument: Any, /) -> dict[str, Any]:
             f"{band.pulse_fwhm_ns:g} ns wide"
         )
     return {**shown, "fingerprint": instrument.fingerprint()}
+
+
+def one_screen(facts: dict[str, Any], /) -> dict[str, Any]:
+    """Shorten the facts of an instrument so that they fit on one screen.
+
+    Parameters
+    ----------
+    facts : dict
+        What `instrument_facts` gives.
+
+    Returns
+    -------
+    dict
+        The facts that are not None, with a long description cut and no more than `SHOWN_BANDS`
+        bands.
+    """
+    bands = [key for key in facts if key.startswith("band_")]
+    left_out = bands[SHOWN_BANDS - 1 :] if len(bands) > SHOWN_BANDS else []
+    shown: dict[str, Any] = {}
+    for key, value in facts.items():
+        if left_out and key == left_out[0]:
+            shown["further_bands"] = f"{len(left_out)} more, as in its `bands`"
+        if value is not None and key not in left_out:
+            shown[key] = value
+    if "description" in shown:
+        shown["description"] = shorten(shown["description"], SHOWN_CHARACTERS, placeholder=" …")
+    return shown
 
 
 def facts_html(title: str, facts: dict[str, Any], /) -> str:
@@ -152,15 +182,6 @@ def facts_html(title: str, facts: dict[str, Any], /) -> str:
         if value is not None
     )
     return f"<table><caption>{html.escape(title)}</caption>{rows}</table>"
-
-
-def _field_of_view(instrument: Any) -> str:
-    """Angles over the whole image, across and down, between the outer edges of its pixels."""
-    angles = []
-    for slopes, size in zip(instrument.ray_slopes(), reversed(instrument.image_shape), strict=True):
-        edge = slopes.max() * size / max(size - 1, 1)
-        angles.append(f"{2 * degrees(atan(edge)):.1f}°")
-    return " × ".join(angles)
 
 
 def _table(heading: str, section: msgspec.Struct) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hueflight.model.instrument import Instrument
 
+SMALL = 1e-4  #: below which (sinh x / x)² = 1 + x²/3 to double precision
 NEGLIGIBLE = 1e-3  #: photons per period below which the loss within it is not corrected
 
 
@@ -159,6 +160,8 @@ def variance_factor(arrivals: NDArray[np.floating] | float) -> NDArray[np.float6
         Factors, 1 or more.
     """
     half = np.maximum(np.asarray(arrivals, np.float64) / 2, 1e-9)
+    if half.max(initial=0.0) < SMALL:
+        return 1 + half**2 / 3
     return (np.sinh(half) / half) ** 2
 
 

@@ -58,6 +58,11 @@ def smooth_undersampled(
     """
     if is_resolved(min(band.pulse_fwhm_ns for band in instrument.bands), bins):
         return light
+    if light.ndim > 2:  # part by part: the intermediate results take three times the memory
+        smooth = np.empty(light.shape, np.float32)
+        for index, part in enumerate(light):
+            smooth[index] = smooth_undersampled(part, instrument, bins)
+        return smooth
     wide = np.asarray(light, np.float32)
     before, after = np.roll(wide, 1, axis=-1), np.roll(wide, -1, axis=-1)
     if bins.period_ns is None:

@@ -12,9 +12,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hueflight.arguments import NUMBER, NUMBERS, Kind, takes
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
+
+#: what `source` may be
+SOURCE = Kind(
+    "a Calibration or an Instrument", lambda value: isinstance(value, Calibration | Instrument)
+)
 
 
 def fisher_information(
@@ -189,6 +195,7 @@ def depth_deviation(delay_deviation_ns: float) -> float:
     return SPEED_OF_LIGHT_M_PER_NS * delay_deviation_ns / 2
 
 
+@takes(source=SOURCE, photons=NUMBER, reflectance=NUMBERS, background=NUMBER, depth=NUMBER)
 def depth_bound(
     source: Calibration | Instrument,
     /,
@@ -229,6 +236,7 @@ def depth_bound(
     return depth_deviation(float(bounds(fisher, background=background)[0]))
 
 
+@takes(source=SOURCE, photons=NUMBER, reflectance=NUMBERS, background=NUMBER, depth=NUMBER)
 def reflectance_bound(
     source: Calibration | Instrument,
     /,

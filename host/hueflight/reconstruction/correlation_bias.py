@@ -133,9 +133,10 @@ def background_share(
 
 
 def _table(calibration: Calibration, search: Search) -> BiasTable:
-    reference, background = _mean_reference(calibration)
+    brightness, background = _mean_reference(calibration)
+    (reference,) = _moved(calibration, brightness, background, np.zeros(1))
     true = np.linspace(-search.search, search.search, min(2 * search.search * PHASES, DELAYS) + 1)
-    moved = _moved(calibration, reference, background, true)
+    moved = _moved(calibration, brightness, background, true)
     mean = float(reference.mean())
     found_at = np.linspace(-search.search, search.search, min(4 * search.search, DELAYS) + 1)
     spacing = found_at[1] - found_at[0]
@@ -169,8 +170,8 @@ def _expected_share(expected: NDArray[np.float64], calibration: Calibration) -> 
     )
 
 
-def _mean_reference(calibration: Calibration) -> tuple[NDArray[np.float64], float]:
-    """Expected counts (bin,) of the mean pixel's reference, and their background per bin."""
+def _mean_reference(calibration: Calibration) -> tuple[float, float]:
+    """Brightness of the mean pixel's reference, and its background per bin."""
     pixels = np.flatnonzero(calibration.usable)
     pixels = pixels[:: max(1, pixels.size // SAMPLED_PIXELS)]
     bins = calibration.bins
@@ -185,12 +186,12 @@ def _mean_reference(calibration: Calibration) -> tuple[NDArray[np.float64], floa
     parts = np.stack([train, flat])
     (brightness, background), *_ = np.linalg.lstsq(parts.T, mean, rcond=None)
     background = max(float(background), 0.0)
-    return brightness * train + background * flat, background
+    return float(brightness), background
 
 
 def _moved(
     calibration: Calibration,
-    reference: NDArray[np.float64],
+    brightness: float,
     background: float,
     delays: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -198,7 +199,5 @@ def _moved(
     bins = calibration.bins
     step_ns = bins.span_ns / bins.count
     flat = background * bins.widths_ns / bins.widths_ns.mean()
-    train = calibration.brightness @ calibration.templates.shares(bins.edges_ns)
-    scale = (reference - flat).sum() / train.sum()
     shares = calibration.templates.shares(bins.edges_ns, (delays * step_ns)[:, None])
-    return scale * np.einsum("k,kdb->db", calibration.brightness, shares) + flat
+    return brightness * np.einsum("k,kdb->db", calibration.brightness, shares) + flat

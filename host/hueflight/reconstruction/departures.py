@@ -15,11 +15,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from hueflight.arguments import takes
 from hueflight.calibration import Calibration
 from hueflight.calibration.drift import with_drift
+from hueflight.calibration.suspects import drift_of
 from hueflight.model.background_shape import FLAT, BackgroundShape
-from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.reconstruction.image_check import ImageCheck, background_found, check_pixels
+from hueflight.reconstruction.image_check import (
+    PICTURE,
+    ImageCheck,
+    background_found,
+    check_pixels,
+)
 from hueflight.reconstruction.inputs import PreparedHistogram, prepare_histogram
 from hueflight.reconstruction.sampled_pixels import (
     MOST_PIXELS,
@@ -56,6 +62,7 @@ class Correction:
     after: ImageCheck
 
 
+@takes(**PICTURE)
 def correct_drift(
     histogram: ArrayLike,
     calibration: Calibration,
@@ -131,22 +138,12 @@ def correct_drift(
     shape = check.background
     corrected = calibration
     for _ in range(DRIFT_PASSES):
-        delays, factors = _drift(check, calibration.templates.bands)
+        delays, factors = drift_of(check.suspects, calibration.templates.bands)
         if not delays.any() and (factors == 1).all():
             break
         corrected = with_drift(corrected, delay_ps=delays, width_factor=factors)
         check = checked(corrected, shape)
     return Correction(corrected, shape, before, check)
-
-
-def _drift(check: ImageCheck, bands: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Delays (ps) and width factors that a check found; 0 and 1 where it found none."""
-    delays, factors = np.zeros(bands), np.ones(bands)
-    if bands > 1 and check["delay"].found:
-        delays = np.array(check["delay"].sizes)
-    if check["width"].found and not check["tail"].found:
-        factors = 1 + np.clip(check["width"].sizes, -0.4, 0.8)
-    return delays, factors
 
 
 def find_background(
@@ -284,7 +281,7 @@ def with_floor(
     bias = UNKNOWN_SHAPE * bias_of(sampled.fitted, model, sizes)
     chosen = known & calibration.usable
     widened = image.copy()
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
+    along_axis = calibration.meters_per_ns
     stated = {"systematic": f"predicted bias by {' and '.join(causes)}"}
 
     def put(name: str, values: NDArray[np.float64]) -> None:

@@ -17,13 +17,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr
 
+from hueflight.backend.fit_results import INFORMATION_SCALE
 from hueflight.calibration import Calibration
 from hueflight.fit.assessment import LARGEST_LOSS
 from hueflight.fit.reference import Fit
@@ -43,13 +45,22 @@ SIGN_TEST = 1.5  #: times the root of the number of pixels: three standard devia
 RATIOS = np.geomspace(1e-3, 1e3, 121)  #: photons of a band per photon of background, in tables
 LEAST_OPEN = 0.05  #: share of the periods that must be open at their end
 LEAST_EMPTY = 0.01  #: share of the exposures that must be empty
+LEAST_INFORMATION = 1e-30  #: that is divided by
 WORST_LUCK = 2.0  #: standard deviations of noise in a pixel's favor, at most
+
+#: where the kernel finds ratios in `DelayInformation.table`
+RATIO_SCALE = INFORMATION_SCALE.pack(
+    points=RATIOS.size,
+    least=RATIOS[0],
+    first_log=np.log(RATIOS[0]),
+    per_log=1 / np.log(RATIOS[1] / RATIOS[0]),
+)
 
 _Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class _DelayInformation:
+class DelayInformation:
     """Information about the delay that a band gives, over the ratio of its photons to background.
 
     Attributes
@@ -62,6 +73,39 @@ class _DelayInformation:
 
     value: _Floats
     bias: _Floats
+
+    @cached_property
+    def table(self) -> NDArray[np.float32]:
+        """Value, step to the next ratio, bias and its step, shape (ratio, band, 4)."""
+        steps = (np.diff(table, axis=0, append=table[-1:]) for table in (self.value, self.bias))
+        value_step, bias_step = steps
+        columns = (self.value, value_step, self.bias, bias_step)
+        return np.stack(columns, axis=-1).astype(np.float32)
+
+    def noise(self, found: Fit, placement: _Floats) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return parts of the variance of the delay of pixels.
+
+        Parameters
+        ----------
+        found : Fit
+            Fit of the pixels.
+        placement : ndarray of float, shape (band,)
+            Variance of the place of each waveform in time, ns².
+
+        Returns
+        -------
+        taken : ndarray of float, shape (pixel,)
+            Share of the information on the delay that noise of the amplitudes adds.
+        added : ndarray of float, shape (pixel,)
+            Variance that the places of the waveforms add, ns².
+        """
+        background = np.maximum(found.background, 1.0)[:, None]
+        ratios = np.maximum(found.amplitudes, 0.0) / background
+        value, bias = self.at(ratios)
+        by_band = ratios**2 * value
+        total = np.maximum(by_band.sum(axis=-1), LEAST_INFORMATION)
+        taken = (found.amplitude_std**2 / background**2 * bias).sum(axis=-1) / total
+        return taken, (by_band / total[:, None]) ** 2 @ placement
 
     def at(self, ratios: _Floats) -> tuple[_Floats, _Floats]:
         """Return both at ratios (pixel, band)."""
@@ -80,7 +124,7 @@ class _DelayInformation:
         return value, bias
 
 
-_kept: WeakKeyDictionary[Calibration, _DelayInformation] = WeakKeyDictionary()
+_kept: WeakKeyDictionary[Calibration, DelayInformation] = WeakKeyDictionary()
 
 
 def common_misfit(chi_square: _Floats) -> float:
@@ -99,12 +143,33 @@ def common_misfit(chi_square: _Floats) -> float:
         above `PLAIN_MISFIT`; else 1.
     """
     known = chi_square[np.isfinite(chi_square)]
-    if not known.size:
+    above, great = (int(np.count_nonzero(known > limit)) for limit in (1, PLAIN_MISFIT))
+    if not may_share_misfit(known.size, above, great):
         return 1.0
     median = float(np.median(known))
-    above = np.count_nonzero(known > 1) - known.size / 2
-    told = above >= SIGN_TEST * np.sqrt(known.size) or median > PLAIN_MISFIT
-    return max(median, 1.0) if told else 1.0
+    told = above - known.size / 2 >= SIGN_TEST * np.sqrt(known.size)
+    return max(median, 1.0) if told or median > PLAIN_MISFIT else 1.0
+
+
+def may_share_misfit(known: int, above: int, great: int) -> bool:
+    """Tell whether pixels may have a misfit in common, which takes no median to rule out.
+
+    Parameters
+    ----------
+    known : int
+        Number of pixels whose χ² per degree of freedom is known.
+    above : int
+        Those of them that lie above 1.
+    great : int
+        Those that lie above `PLAIN_MISFIT`.
+
+    Returns
+    -------
+    bool
+        False if `common_misfit` is 1.
+    """
+    half = known / 2
+    return known > 0 and (above - half >= SIGN_TEST * np.sqrt(known) or great >= half)
 
 
 def delay_variance(
@@ -132,21 +197,13 @@ def delay_variance(
     """
     variance = found.delay_std_ns**2 * misfit
     variance *= np.sqrt(_detection_factor(found.detection, least))
-    background = np.maximum(found.background, 1.0)[:, None]
-    amplitudes = np.maximum(found.amplitudes, 0.0)
-    ratios = amplitudes / background
-    value, bias = _information_for(calibration).at(ratios)
-    by_band = ratios**2 * value
-    total = np.maximum(by_band.sum(axis=-1), 1e-300)
-    taken = (found.amplitude_std**2 / background**2 * bias).sum(axis=-1) / total
+    taken, added = information_for(calibration).noise(found, placement_variance(calibration))
     variance /= 1 - np.where(taken > LEAST_BIAS, np.minimum(taken, MOST_BIAS), 0.0)
-    if calibration.waveform_delay_std_ns is not None:
-        influence = by_band / total[:, None]
-        variance += influence**2 @ calibration.waveform_delay_std_ns**2
+    variance += added
     return variance + calibration.pixel_delay_std_ns[chosen] ** 2
 
 
-def brightness_variance(calibration: Calibration) -> _Floats:
+def brightness_variance(calibration: Calibration) -> tuple[_Floats, _Floats]:
     """Return the variance of reflectance, relative to its square, that the calibration leaves.
 
     Parameters
@@ -156,19 +213,52 @@ def brightness_variance(calibration: Calibration) -> _Floats:
 
     Returns
     -------
-    ndarray, shape (row, col, band)
-        Variances; 0 where the calibration was made by a version that did not state them.
+    by_pixel : ndarray of float, shape (row, col)
+        Variance of the brightness of each pixel, which all bands share; 0 where the calibration was
+        made by a version that did not state it.
+    by_band : ndarray of float, shape (band,)
+        Variance of the brightness of each band, which all pixels share, likewise.
     """
-    bands = calibration.brightness.size
-    variance = np.zeros((*calibration.flat_field.shape, bands))
+    by_pixel = np.zeros(calibration.flat_field.shape)
+    by_band = np.zeros(calibration.brightness.size)
     if calibration.flat_field_std is not None:
-        variance += ((calibration.flat_field_std / calibration.flat_field) ** 2)[..., None]
+        by_pixel += (calibration.flat_field_std / calibration.flat_field) ** 2
     if calibration.brightness_std is not None:
-        variance += (calibration.brightness_std / calibration.brightness) ** 2
-    return variance
+        by_band += (calibration.brightness_std / calibration.brightness) ** 2
+    return by_pixel, by_band
 
 
-def _information_for(calibration: Calibration) -> _DelayInformation:
+def placement_variance(calibration: Calibration) -> _Floats:
+    """Return the variance of the places of the bands' waveforms in time.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+
+    Returns
+    -------
+    ndarray of float, shape (band,)
+        Variance, ns²; 0 where the calibration does not know it.
+    """
+    if calibration.waveform_delay_std_ns is None:
+        return np.zeros(calibration.brightness.size)
+    return calibration.waveform_delay_std_ns**2
+
+
+def information_for(calibration: Calibration) -> DelayInformation:
+    """Return the information about the delay, which is kept as long as the calibration lives.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The calibration.
+
+    Returns
+    -------
+    DelayInformation
+        Its tables.
+    """
     if calibration not in _kept:
         edges_ns, span_ns = calibration.bins.edges_ns, calibration.bins.span_ns
         templates, flat = calibration.templates, calibration.bins.widths_ns / span_ns
@@ -182,7 +272,7 @@ def _information_for(calibration: Calibration) -> _DelayInformation:
             # half the second derivative of ratio² / (ratio · share + flat)
             return (slopes * flat**2 / (ratio * shares + flat) ** 3).sum(axis=-1)
 
-        _kept[calibration] = _DelayInformation(
+        _kept[calibration] = DelayInformation(
             np.array([value(ratio) for ratio in RATIOS]),
             np.array([bias(ratio) for ratio in RATIOS]),
         )
@@ -253,9 +343,12 @@ def total_variance(photons: _Floats, exposures: _Floats, instrument: Instrument)
         Variance relative to the square of the brightness, without the part of Poisson counts and
         without what `add_pileup_noise` adds.
     """
+    periods = periods_per_exposure(instrument)
+    if periods == 1:
+        return np.zeros_like(photons)
     arrivals = arrivals_per_exposure(photons, exposures)
     whole = variance_factor(arrivals)
-    per_period = arrivals / periods_per_exposure(instrument)
+    per_period = arrivals / periods
     return np.maximum(whole - variance_factor(per_period), 0.0) / np.maximum(photons, 1.0)
 
 
@@ -286,24 +379,36 @@ def is_piled_up(
     """
     if exposures is None:
         return np.zeros(photons.shape, bool)
-    per_period = arrivals_per_exposure(photons, exposures) / periods_per_exposure(instrument)
-    empty = exposures - photons
-    return (np.exp(-per_period) < LEAST_OPEN) | (empty < LEAST_EMPTY * exposures)
+    # what `arrivals_per_exposure` and the share that is open come to, without their logarithms
+    most = 1 - LEAST_OPEN ** periods_per_exposure(instrument)
+    closed = np.minimum(photons, exposures - 0.5) > most * np.maximum(exposures, 0)
+    return closed | (exposures - photons < LEAST_EMPTY * exposures)
 
 
 @cache
-def _luck() -> tuple[_Floats, _Floats]:
-    """Mean height of a unit normal above a limit that it exceeds, and the limit less its mean."""
+def luck() -> tuple[_Floats, _Floats]:
+    """Return how far a unit normal lies above a limit on average where it exceeds it.
+
+    Returns
+    -------
+    beyond : ndarray of float, shape (limit,)
+        Mean heights above the limits, ascending.
+    limit : ndarray of float, shape (limit,)
+        The limits, less the mean of all.
+    """
     limit = np.linspace(WORST_LUCK, -6, 200)
-    return norm.pdf(limit) / norm.sf(limit) - limit, limit
+    density = np.exp(-(limit**2) / 2) / np.sqrt(2 * np.pi)
+    return density / ndtr(-limit) - limit, limit
 
 
 def _detection_factor(detection: _Floats, least: float) -> _Floats:
     """Detection ratio as it came out, over what is likely given that it passed the test."""
     factor = np.ones_like(detection)
     root = np.sqrt(least)
-    beyond, limit = _luck()
-    near = (detection > 0) & (np.sqrt(np.maximum(detection, least)) < root + beyond[-1])
+    beyond, limit = luck()
+    near = (detection > 0) & (detection < (root + beyond[-1]) ** 2)
+    if not near.any():
+        return factor
     seen = np.sqrt(np.maximum(detection[near], least))
     likely = root - np.interp(seen - root, beyond, limit)
     factor[near] = (seen / np.minimum(likely, seen)) ** 2

@@ -47,9 +47,9 @@ def sees_both(
         True where both are needed, and explain the counts about as well as the free fit.
     """
     flat = np.broadcast_to(background, counts.shape)
-    alone = [_log_likelihood(counts, [surface, flat]) for surface in (near, far)]
+    alone = [greatest_likelihood(counts, [surface, flat]) for surface in (near, far)]
     needed = np.ones(len(counts), bool)
-    both = np.maximum(_log_likelihood(counts, [near, far, flat]), np.maximum(*alone))
+    both = np.maximum(greatest_likelihood(counts, [near, far, flat]), np.maximum(*alone))
     for single in alone:
         needed &= 2 * (both - single) > NEEDED
     total = counts.sum(axis=-1)
@@ -82,11 +82,23 @@ def waveforms(level: DelayTables, delays_ns: _Floats, amplitudes: _Floats) -> _F
     return light
 
 
-def _log_likelihood(counts: _Floats, parts: Sequence[_Floats]) -> _Floats:
-    """Greatest log-likelihood of counts as a sum of parts, but for a constant.
+def greatest_likelihood(counts: _Floats, parts: Sequence[_Floats]) -> _Floats:
+    """Return the greatest log-likelihood of counts as a sum of parts, but for a constant.
 
-    Weighted least squares with the model's own variances, from equal parts on. The last part is
-    the background. A part that comes out negative is left at 0.
+    Weighted least squares with the model's own variances, from equal parts on.
+
+    Parameters
+    ----------
+    counts : ndarray, shape (pixel, bin)
+        Counts of each pixel.
+    parts : sequence of ndarray, shape (pixel, bin)
+        Expected counts of each part on any scale, the background last. A part that comes out
+        negative is left at 0.
+
+    Returns
+    -------
+    ndarray of float, shape (pixel,)
+        The log-likelihood.
     """
     total = counts.sum(axis=-1)
     floor = LEAST_SHARE * total + LEAST_COUNTS

@@ -14,7 +14,9 @@ from math import radians, tan
 import numpy as np
 from numpy.typing import NDArray
 
-WINDOW = 5  #: rows and columns of the window about a pixel
+from hueflight.backend.fit_results import PICTURE_SIZE, SURFACE_STARTS, WINDOW
+from hueflight.fit.solver import compiled_kernel
+
 SHIFTS = 2  #: steps of the mean shift after the first
 REACH = 2.5  #: standard deviations within which a pixel belongs to a surface
 LEAST_PIXELS = 2  #: in the window that each surface needs
@@ -182,20 +184,58 @@ def _starts(planes: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     change. Where fewer are known, the last of them is taken; inf and -inf where none is.
     """
     depth, deviation = _at_least_a_window(planes.astype(np.float32), (1, 2))
+    rows, cols = planes.shape[1:]
+    # pixels at the border look at the nearest whole window
+    row = _window_corner(np.arange(rows), len(depth))
+    col = _window_corner(np.arange(cols), depth.shape[1])
+    near, far = (
+        start.take(row, axis=0).take(col, axis=1).astype(np.float64)
+        for start in inner_starts(depth, deviation)
+    )
+    return near, far
+
+
+def inner_starts(
+    depth: NDArray[np.float32], deviation: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return where surfaces are looked for about the pixels that have a whole window.
+
+    Parameters
+    ----------
+    depth : ndarray of float32, shape (row, col)
+        Depth, m; NaN where it is not known.
+    deviation : ndarray of float32, shape (row, col)
+        Its standard deviation, m.
+
+    Returns
+    -------
+    near : ndarray of float32, shape (row - WINDOW + 1, col - WINDOW + 1)
+        Depth of the near surface, m.
+    far : ndarray of float32, shape (row - WINDOW + 1, col - WINDOW + 1)
+        Depth of the far surface, m.
+    """
+    kernel = compiled_kernel()
+    rows, cols = depth.shape
+    if kernel is not None:
+        near, far = np.empty((2, rows - WINDOW + 1, cols - WINDOW + 1), np.float32)
+        kernel.surface_starts(
+            *SURFACE_STARTS.arguments(
+                depth=np.ascontiguousarray(depth),
+                deviation=np.ascontiguousarray(deviation),
+                size=PICTURE_SIZE.pack(rows=rows, cols=cols, reach=REACH),
+                near=near,
+                far=far,
+            )
+        )
+        return near, far
     unknown = np.isnan(depth)
     values = np.where(unknown, np.float32(np.inf), depth)
     reach = np.where(unknown, np.float32(0), REACH * deviation)
-    weights = np.where(unknown, np.float32(0), deviation**-2)
+    weights = np.where(unknown, np.float32(0), 1 / (deviation * deviation))
     moments = weights * np.where(unknown, np.float32(0), depth)
     low, high = _third_smallest(values), -_third_smallest(np.where(unknown, np.inf, -depth))
     light = reach, weights, moments
-    rows, cols = planes.shape[1:]
-    near, far = (
-        # pixels at the border look at the nearest whole window
-        np.pad(_shifted(values, *light, start), WINDOW // 2, mode="edge")[:rows, :cols]
-        for start in (low, high)
-    )
-    return near, far
+    return _shifted(values, *light, low), _shifted(values, *light, high)
 
 
 def _views(values: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
@@ -226,7 +266,7 @@ def _shifted(
     weights: NDArray[np.float32],
     moments: NDArray[np.float32],
     start: NDArray[np.float32],
-) -> NDArray[np.float64]:
+) -> NDArray[np.float32]:
     """Return the mean of the neighbors within reach of a start, else the start."""
     total, moment = np.zeros((2, *start.shape), np.float32)
     off, inside = np.empty_like(start), np.empty(start.shape, bool)
@@ -239,7 +279,7 @@ def _shifted(
             total += np.multiply(weight, inside, out=off)
             moment += np.multiply(part, inside, out=off)
     found = moment / np.where(total > 0, total, np.float32(1))
-    return np.where(total > 0, found, start).astype(np.float64)
+    return np.where(total > 0, found, start)
 
 
 def _surface(

@@ -11,12 +11,25 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from hueflight.arguments import (
+    COUNTS,
+    NUMBERS,
+    PACKETS,
+    POSITIVE,
+    RANGE,
+    SWITCH,
+    TEXT,
+    WHOLE,
+    Kind,
+    listed,
+    takes,
+)
 from hueflight.calibration import Calibration
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.ingest import IngestReport, accumulate
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.kernels import Buffer
-from hueflight.memory import require_memory
+from hueflight.memory import require_memory, within_memory
 from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.histograms import as_native
 from hueflight.reconstruction import joint
@@ -48,8 +61,34 @@ __all__ = ["METHODS", "reconstruct", "reconstruct_packets"]
 
 BYTES_PER_PIXEL = 250  #: of memory that the results of a pixel take on their way, measured,
 BYTES_PER_BAND = 100  #: and of each of its bands
+FEWER_PIXELS = (
+    "Reconstruct with method='joint', which reads counts on disk in blocks, or a part of the "
+    "sensor that is described as an instrument of its own"
+)
 
 
+#: what `bands` may be
+BANDS = listed(
+    Kind("a band", lambda value: isinstance(value, str) or WHOLE.accepts(value)),
+    "a list of names or whole numbers of bands",
+)
+
+
+@within_memory("the reconstruction", advice=FEWER_PIXELS)
+@takes(
+    histogram=COUNTS,
+    calibration=Calibration,
+    method=TEXT,
+    depth_range=RANGE,
+    frames=NUMBERS,
+    range_correction=SWITCH,
+    pileup_correction=SWITCH,
+    bands=BANDS,
+    skips=Skips,
+    threads=POSITIVE,
+    mixed=SWITCH,
+    second_returns=SWITCH,
+)
 def reconstruct(
     histogram: ArrayLike | StoredArray,
     calibration: Calibration,
@@ -80,13 +119,15 @@ def reconstruct(
     method : str
         A key of `METHODS`: ``"joint"`` is the maximum likelihood of delay, amplitude of every band
         and background together; ``"pooled"`` is for few photons, where neighboring pixels lend
-        theirs; ``"paper"`` is the published correlation method.
+        theirs; ``"sums"`` rests on the few sums that a camera can make of each pixel's codes, see
+        `reconstruct_sums`; ``"paper"`` is the published correlation method.
     depth_range : tuple of float, optional
         Nearest and farthest depth to search, m; by default half the spacing of the pulses about
         the distance of the reference. ``"paper"`` does not take it.
     frames : array_like, shape (row, col), or float, optional
         Exposures behind the histogram; by default the sum over codes where the sensor reports its
-        empty exposures, else as many as the reference had.
+        empty exposures, else as many as the reference had. ``image.attrs["exposures"]`` says
+        whether the number is known.
     range_correction : bool, optional
         Multiply reflectance by the squared ratio of the distance to that of the reference, so that
         it does not depend on the distance. By default wherever the calibration knows the distance
@@ -99,8 +140,9 @@ def reconstruct(
         decay that all pixels share, from their residuals, before all pixels are fitted with it;
         the attributes of ``image.background`` say what was found. ``"joint"`` only.
     bands : sequence of str or int, optional
-        Names or numbers of the bands whose reflectance is wanted, by default all. All bands are
-        fitted in any case, because depth rests on the light of every band.
+        Names, numbers or wavelengths (``"532 nm"``) of the bands whose reflectance is wanted, by
+        default all. All bands are fitted in any case, because depth rests on the light of every
+        band.
     region : tuple of two slices, or array of bool with shape (row, col), optional
         Rows and columns, such as ``np.s_[10:20, 30:40]``, or a mask. Pixels outside have no result
         and are flagged skipped. Only ``"joint"`` saves time by it.
@@ -167,7 +209,13 @@ def reconstruct(
     estimates = estimator.estimate(prepared, calibration, options)
     estimates.quality[prepared.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
-    image = as_image(estimates, calibration, method=method, range_correction=corrected)
+    image = as_image(
+        estimates,
+        calibration,
+        method=method,
+        range_correction=corrected,
+        exposures_known=frames is not None or calibration.instrument.sensor.reports_empty,
+    )
     if isinstance(options.background, BackgroundShape):
         state_background(image, options.background)
     return image if bands is None else image.isel(band=numbers)
@@ -228,14 +276,25 @@ def _in_memory_or_stored(
     require_memory(
         needed,
         f"the reconstruction of {pixels} pixels with {bands} bands",
-        advice="Reconstruct with method='joint', which reads counts on disk in blocks, or a part "
-        "of the sensor that is described as an instrument of its own",
+        advice=FEWER_PIXELS,
     )
     if stored is None or getattr(method, "reads_stored", False):
         return histogram if stored is None else stored  # pyright: ignore[reportReturnType]
     return as_native(stored.source[:])
 
 
+@within_memory("the reconstruction", advice=FEWER_PIXELS)
+@takes(
+    packets=PACKETS,
+    calibration=Calibration,
+    depth_range=RANGE,
+    range_correction=SWITCH,
+    pileup_correction=SWITCH,
+    skips=Skips,
+    threads=POSITIVE,
+    mixed=SWITCH,
+    second_returns=SWITCH,
+)
 def reconstruct_packets(
     packets: Buffer,
     calibration: Calibration,

@@ -54,8 +54,8 @@ class Estimates:
 
     depth: NDArray[np.float64]
     depth_std: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-    reflectance_std: NDArray[np.float64]
+    reflectance: NDArray[np.floating]
+    reflectance_std: NDArray[np.floating]
     background: NDArray[np.float64]
     photons: NDArray[np.float64]
     quality: NDArray[np.uint16]

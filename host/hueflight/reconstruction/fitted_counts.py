@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.fit.tables import ModelTables
-from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.reconstruction.stored_counts import StoredCounts
 
@@ -103,6 +102,6 @@ def arrival_ns(depth: _Floats, numbers: _Numbers, calibration: Calibration) -> _
     ndarray of float, shape (pixel,)
         Delays against the reference, ns.
     """
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine().ravel()[numbers]
+    along_axis = calibration.meters_per_ns.ravel()[numbers]
     own_ns = calibration.pixel_delay_ns.ravel()[numbers]
     return (depth - calibration.distance) / along_axis + own_ns

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, ndtri
 
+from hueflight.arguments import COUNTS, NUMBERS, POSITIVE, RANGE, SWITCH, Kind, takes
 from hueflight.calibration import Calibration
+from hueflight.calibration.suspects import FOUND, Suspect, normal_score
 from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.reconstruction.inputs import prepare_histogram
 from hueflight.reconstruction.sampled_pixels import (
@@ -36,7 +37,6 @@ from hueflight.reconstruction.shared_scores import (
     sum_scores,
 )
 
-FOUND = 4.0  #: score from which a suspect is named
 SETTLED = 0.5  #: deviations by which a shape of the background may still be off
 STEEPEST = 0.98  #: slope of the background that is looked for; at 1 it would reach 0
 #: variance of what the waveforms of the calibration tell, relative to that of a picture of as many
@@ -47,58 +47,20 @@ BINS_PER_FWHM = 8  #: bins on a pulse from which the widths of single bins can b
 #: does not tell at 0
 PRIOR = {"delay": 0.5, "width": 0.2, "background": 1.0, "tail": 0.5, "flare": 0.5}
 
+#: arguments of a check of a picture
+PICTURE: dict[str, type | Kind] = {
+    "histogram": COUNTS,
+    "calibration": Calibration,
+    "image": xr.Dataset,
+    "depth_range": RANGE,
+    "frames": NUMBERS,
+    "pileup_correction": SWITCH,
+    "background": BackgroundShape,
+    "pixels": POSITIVE,
+    "threads": POSITIVE,
+}
+
 _Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """One kind of departure, and how large it seems.
-
-    Attributes
-    ----------
-    name : str
-        ``"delay"``, ``"width"``, ``"background slope"``, ``"background decay"``, ``"tail"``,
-        ``"flare"`` or ``"bin widths"``.
-    unit : str
-        Unit of the sizes.
-    labels : tuple of str
-        What each size belongs to, such as the name of a band.
-    sizes, deviations : tuple of float
-        Sizes and their standard deviations, the noise of the calibration included.
-    score : float
-        Standard normal score of all sizes together against 0.
-    """
-
-    name: str
-    unit: str
-    labels: tuple[str, ...]
-    sizes: tuple[float, ...]
-    deviations: tuple[float, ...]
-    score: float
-
-    @property
-    def found(self) -> bool:
-        """True if chance does not explain the sizes."""
-        return self.score > FOUND
-
-    def describe(self) -> str:
-        """Return sizes, deviations and significance in words.
-
-        Returns
-        -------
-        str
-            One line.
-        """
-        parts = [
-            f"{label} {size:+.3g} ± {deviation:.2g}".strip()
-            for label, size, deviation in zip(self.labels, self.sizes, self.deviations, strict=True)
-        ]
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{', '.join(parts)}{unit} ({max(self.score, 0.0):.1f} sigma)"
-
-    def __str__(self) -> str:
-        """Return name and sizes."""
-        return f"{self.name}: {self.describe()}"
 
 
 @dataclass(frozen=True)
@@ -160,6 +122,7 @@ class ImageCheck:
         return "\n".join(lines)
 
 
+@takes(**PICTURE)
 def check_image(
     histogram: ArrayLike,
     calibration: Calibration,
@@ -245,7 +208,7 @@ def check_pixels(sampled: SampledPixels, calibration: Calibration) -> ImageCheck
     fitted, model = sampled.fitted, sampled.model
     scores = sum_scores(fitted, model)
     photons = float(fitted.counts.sum())
-    reference = float(calibration.reference.sum(dtype=np.float64))
+    reference = float(calibration.reference_photons.sum())
     noise = 1 + CALIBRATION_NOISE * photons / max(reference, 1.0)
     solution = _solve(scores, model, noise=noise)
     names = [band.name for band in calibration.instrument.bands]
@@ -380,29 +343,6 @@ def _bin_widths(sampled: SampledPixels) -> Suspect:
     size = float(np.sqrt(max(excess, 0.0)))
     deviation = float(np.sqrt(np.mean(spread[told]) / 1.5 * np.sqrt(2 / independent)))
     return Suspect("bin widths", "1", ("rms",), (size,), (deviation,), score)
-
-
-def normal_score(chi_square: float, freedom: float) -> float:
-    """Return the standard normal score of a χ² variate.
-
-    Parameters
-    ----------
-    chi_square : float
-        Its value.
-    freedom : float
-        Its degrees of freedom.
-
-    Returns
-    -------
-    float
-        Score that a normal variate exceeds as rarely.
-    """
-    tail = float(chdtrc(freedom, chi_square))
-    if tail > 1e-300:
-        return float(-ndtri(tail))
-    # Wilson and Hilferty (1931), beyond what doubles represent
-    scale = 2 / (9 * freedom)
-    return float((np.cbrt(chi_square / freedom) - (1 - scale)) / np.sqrt(scale))
 
 
 def background_found(check: ImageCheck) -> BackgroundShape:

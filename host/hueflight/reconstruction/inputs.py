@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hueflight.calibration import Calibration
-from hueflight.errors import HistogramError
-from hueflight.fit.solver import COUNT_TYPES, survey
+from hueflight.errors import CalibrationError, HistogramError
+from hueflight.fit.solver import COUNT_TYPES, Survey, survey
 from hueflight.model.histograms import as_native, check_histogram, counters_full, frames_per_pixel
 from hueflight.reconstruction.stored_counts import StoredCounts
 
@@ -43,7 +44,11 @@ class PreparedHistogram:
 
 
 def prepare_histogram(
-    histogram: ArrayLike | StoredCounts, calibration: Calibration, frames: ArrayLike | None
+    histogram: ArrayLike | StoredCounts,
+    calibration: Calibration,
+    frames: ArrayLike | None,
+    *,
+    look: Callable[[NDArray[Any], slice], Survey] = survey,
 ) -> PreparedHistogram:
     """Check a histogram and prepare it.
 
@@ -55,7 +60,9 @@ def prepare_histogram(
         Calibration of the same instrument.
     frames : array_like, shape (row, col), or float, optional
         Exposures behind the histogram; by default the sum over codes where the sensor reports its
-        empty exposures, else unknown.
+        empty exposures, else as many as the reference had.
+    look : callable
+        Reads whole counts in memory as `survey` does, for who has more to look for.
 
     Returns
     -------
@@ -66,16 +73,18 @@ def prepare_histogram(
     ------
     HistogramError
         If it does not fit the calibration's instrument, or is empty.
+    CalibrationError
+        If the calibration has no brightness or gain of a band.
     """
     instrument = calibration.instrument
+    _require_bright(calibration)
     if isinstance(histogram, StoredCounts):
         return _prepare_stored(histogram, calibration, frames)
     counts = as_native(histogram)
-    if counts.shape == instrument.histogram_shape and counts.dtype in (np.uint16, np.uint32):
-        codes = calibration.bins.codes  # a run of them, either way
-        lit = slice(int(codes.min()), int(codes.max()) + 1)
+    if _surveyed_at_once(counts, calibration):
         shape = counts.shape[:2]
-        flat_sums, flat_photons, flat_full = survey(counts.reshape(-1, counts.shape[2]), lit)
+        flat = counts.reshape(-1, counts.shape[2])
+        flat_sums, flat_photons, flat_full = look(flat, _lit_codes(calibration))
         sums, photons, full = (
             flat_sums.reshape(shape),
             flat_photons.reshape(shape),
@@ -84,10 +93,10 @@ def prepare_histogram(
         if not sums.any():
             check_histogram(counts, instrument)  # says so
         known = frames is None and instrument.sensor.reports_empty
-        exposures = sums if known else frames_per_pixel(counts, instrument, frames)
+        exposures = sums if known else assumed_exposures(counts, calibration, frames)
     else:
         counts = check_histogram(counts, instrument)
-        exposures, full = frames_per_pixel(counts, instrument, frames), counters_full(counts)
+        exposures, full = assumed_exposures(counts, calibration, frames), counters_full(counts)
         photons = None
     light = calibration.bins.in_time_order(counts)
     if light.dtype not in COUNT_TYPES:
@@ -95,6 +104,96 @@ def prepare_histogram(
     if photons is None:
         photons = light.sum(axis=-1, dtype=np.float64)
     return PreparedHistogram(counts, light, photons, exposures, full)
+
+
+def prepare_pixels(
+    histogram: ArrayLike,
+    calibration: Calibration,
+    frames: ArrayLike | None,
+    before: PreparedHistogram,
+    chosen: NDArray[np.bool_],
+) -> PreparedHistogram:
+    """Prepare the chosen pixels of another histogram; counts of the others are not read.
+
+    Parameters
+    ----------
+    histogram : array_like, shape (row, col, code)
+        Counts, raw codes on the last axis.
+    calibration : Calibration
+        Calibration of the same instrument.
+    frames : array_like, shape (row, col), or float, optional
+        Exposures behind the histogram; see `prepare_histogram`.
+    before : PreparedHistogram
+        An earlier histogram of the same instrument.
+    chosen : ndarray of bool, shape (row, col)
+        Pixels to look at.
+
+    Returns
+    -------
+    PreparedHistogram
+        The counts, with what was found of the chosen pixels; of the others, what `before` has.
+
+    Raises
+    ------
+    HistogramError
+        If the histogram does not fit the calibration's instrument.
+    """
+    counts = as_native(histogram)
+    if not _surveyed_at_once(counts, calibration):
+        return prepare_histogram(histogram, calibration, frames)
+    flat, pixels = counts.reshape(-1, counts.shape[2]), np.flatnonzero(chosen)
+    sums, photons, full = survey(flat, _lit_codes(calibration), pixels=pixels)
+
+    def renewed(old: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
+        new = old.copy()
+        new[chosen] = values
+        return new
+
+    if frames is None and calibration.instrument.sensor.reports_empty:
+        assert before.exposures is not None  # such a sensor's exposures are always known
+        exposures = renewed(before.exposures, sums)
+    else:
+        exposures = assumed_exposures(counts, calibration, frames)
+    return PreparedHistogram(
+        counts,
+        calibration.bins.in_time_order(counts),
+        renewed(before.photons, photons),
+        exposures,
+        renewed(before.full, full),
+    )
+
+
+def _surveyed_at_once(counts: NDArray[Any], calibration: Calibration) -> bool:
+    """Whether counts are of the right shape, and of types that the kernels read."""
+    shape = calibration.instrument.histogram_shape
+    return counts.shape == shape and counts.dtype in (np.uint16, np.uint32)
+
+
+def _lit_codes(calibration: Calibration) -> slice:
+    """Codes of the calibration's time bins, which are a run of them either way."""
+    codes = calibration.bins.codes
+    return slice(int(codes.min()), int(codes.max()) + 1)
+
+
+def assumed_exposures(
+    counts: NDArray[Any], calibration: Calibration, frames: ArrayLike | None
+) -> NDArray[np.float64] | None:
+    """Exposures behind counts: known, or as many as the reference had, or None."""
+    known = frames_per_pixel(counts, calibration.instrument, frames)
+    return calibration.frames if known is None else known
+
+
+def _require_bright(calibration: Calibration) -> None:
+    """Refuse a calibration by which the light of a band says nothing of its reflectance."""
+    for band, brightness, gain in zip(
+        calibration.instrument.bands, calibration.brightness, calibration.gain, strict=True
+    ):
+        if not (0 < brightness < np.inf and 0 < gain < np.inf):
+            raise CalibrationError(
+                f"the calibration has a brightness of {brightness:g} and a gain of {gain:g} for "
+                f"band {band.name!r}: its LED was dark. Calibrate again with all LEDs on, or with "
+                "an instrument without that band"
+            )
 
 
 def _prepare_stored(
@@ -105,8 +204,7 @@ def _prepare_stored(
         check_histogram(np.asarray(stored.source[:1]), instrument)  # says what differs
     sums, photons = np.empty((2, *instrument.image_shape))
     full = np.empty(instrument.image_shape, bool)
-    codes = calibration.bins.codes
-    lit = slice(int(codes.min()), int(codes.max()) + 1)
+    lit = _lit_codes(calibration)
     for rows, counts in stored.blocks():
         if counts.dtype.kind not in "uif" or not (counts >= 0).all():
             raise HistogramError(
@@ -122,5 +220,5 @@ def _prepare_stored(
             "that the right recording or slice was read"
         )
     known = frames is None and instrument.sensor.reports_empty
-    exposures = sums if known else frames_per_pixel(sums, instrument, frames)
+    exposures = sums if known else assumed_exposures(sums, calibration, frames)
     return PreparedHistogram(stored.source, stored, photons, exposures, full)

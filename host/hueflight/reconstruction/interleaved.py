@@ -8,7 +8,7 @@ and amplitudes are common to all schedules, so that no precision is lost.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -16,19 +16,23 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from hueflight.arguments import RANGE, SWITCH, Kind, listed, takes
 from hueflight.calibration import Calibration
 from hueflight.errors import CalibrationError, HistogramError
 from hueflight.fit.assessment import wavelength_contrasts
 from hueflight.fit.reference import DEFAULT, FitOptions
 from hueflight.fit.solver import fit_pixels, leave_unassessed
 from hueflight.fit.tables import ModelTables, ScheduleView, make_tables
-from hueflight.model.histograms import check_histogram, counters_full, frames_per_pixel
+from hueflight.model.histograms import check_histogram, counters_full
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.undersampling import smooth_undersampled
+from hueflight.reconstruction.conversion import in_metres
+from hueflight.reconstruction.conversion_rules import Conversion
 from hueflight.reconstruction.image import as_image
-from hueflight.reconstruction.joint import in_metres, search_range_ns
+from hueflight.reconstruction.inputs import assumed_exposures
+from hueflight.reconstruction.joint import search_range_ns
 from hueflight.reconstruction.quality import Quality
 from hueflight.reconstruction.range_correction import resolve
 
@@ -37,7 +41,21 @@ _kept_tables: WeakKeyDictionary[Calibration, dict[_Key, tuple[Calibration, Model
     WeakKeyDictionary()
 )
 
+#: what `histograms` may be
+HISTOGRAMS = Kind(
+    "a list of histograms",
+    lambda value: hasattr(value, "__len__") and not isinstance(value, str | bytes | Mapping),
+)
 
+
+@takes(
+    histograms=HISTOGRAMS,
+    calibrations=listed(Calibration, "a list of Calibrations"),
+    depth_range=RANGE,
+    range_correction=SWITCH,
+    pileup_correction=SWITCH,
+    switches=FitOptions,
+)
 def reconstruct_interleaved(
     histograms: Sequence[ArrayLike] | NDArray[np.generic],
     calibrations: Sequence[Calibration],
@@ -64,7 +82,7 @@ def reconstruct_interleaved(
         beginning at the camera.
     frames : sequence of array_like, optional
         Exposures behind each histogram, numbers or arrays (row, col); by default the sum over codes
-        where the sensor reports its empty exposures.
+        where the sensor reports its empty exposures, else as many as each reference had.
     range_correction : bool, optional
         Correct reflectance for the distance; see `reconstruct`.
     pileup_correction : bool
@@ -97,7 +115,7 @@ def reconstruct_interleaved(
     for index, (histogram, calibration) in enumerate(zip(histograms, calibrations, strict=True)):
         name = f"histograms[{index}]"
         counts.append(check_histogram(histogram, calibration.instrument, name=name))
-        exposures.append(frames_per_pixel(counts[-1], calibration.instrument, given[index]))
+        exposures.append(assumed_exposures(counts[-1], calibration, given[index]))
     common = _common(calibrations)
     weights = _weights(exposures)
     search_ns = _search_ns(calibrations[0], depth_range)
@@ -133,15 +151,19 @@ def reconstruct_interleaved(
         chosen,
         photons,
         total,
-        common,
-        search_ns=search_ns,
-        range_correction=corrected,
-        pileup_correction=pileup_correction,
+        Conversion(common, search_ns, corrected, pileup_correction),
         assessed=assessed,
     )
     for count in counts:
         estimates.quality[counters_full(count)] |= int(Quality.SATURATED)
-    image = as_image(estimates, common, method="joint", range_correction=corrected)
+    image = as_image(
+        estimates,
+        common,
+        method="joint",
+        range_correction=corrected,
+        exposures_known=common.instrument.sensor.reports_empty
+        or all(each is not None for each in given),
+    )
     return image.assign_attrs(schedules=len(calibrations))
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
 from typing import Any
@@ -14,34 +13,29 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.fit.assessment import LARGEST_LOSS, MISFIT, p_value, wavelength_contrasts
+from hueflight.fit.assessment import LARGEST_LOSS, wavelength_contrasts
 from hueflight.fit.reference import Fit, no_fit
 from hueflight.fit.smoothed_assessment import smoothed_misfit, smoothed_score
 from hueflight.fit.solver import fit_pixels
 from hueflight.fit.tables import (
     ModelTables,
     ScheduleView,
-    detection_threshold,
     make_tables,
 )
 from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.model.undersampling import smooth_undersampled
+from hueflight.reconstruction.conversion import in_metres
+from hueflight.reconstruction.conversion_rules import Conversion
 from hueflight.reconstruction.deviations import (
     add_pileup_noise,
-    brightness_variance,
     common_misfit,
-    delay_variance,
-    is_piled_up,
-    total_variance,
 )
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.fitted_counts import FittedCounts
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions, Skips
-from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.range_correction import relative_range, widened
 from hueflight.reconstruction.second_returns import with_second_returns
 from hueflight.reconstruction.separation import with_both_depths
 from hueflight.reconstruction.stored_counts import StoredCounts
@@ -58,9 +52,6 @@ honors = frozenset(
         "second_returns",
     }
 )
-
-BLIND = 0.7  #: of a uniform guess's deviation: who knows no better than this knows nothing
-LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
 
 _Key = tuple[tuple[float, float], BackgroundShape]
 _kept_tables: WeakKeyDictionary[Calibration, dict[_Key, ModelTables]] = WeakKeyDictionary()
@@ -169,7 +160,7 @@ def search_range_ns(
         reach = period_ns * SPEED_OF_LIGHT_M_PER_NS / 2
         raise HueflightError(
             f"depth_range = {depth_range!r} spans more than the {reach:.1f} m after which the "
-            f"period of {period_ns} ns repeats: narrow it"
+            f"period of {period_ns} ns repeats: narrow it, and give it in meters"
         )
     return low, high
 
@@ -220,10 +211,7 @@ def estimate(
         known,
         photons,
         exposures,
-        calibration,
-        search_ns=search_ns,
-        range_correction=options.range_correction,
-        pileup_correction=options.pileup_correction,
+        Conversion(calibration, search_ns, options.range_correction, options.pileup_correction),
         assessed=skips.of_fit(calibration).assessment,
     )
     if not (options.mixed or options.second_returns):
@@ -343,134 +331,3 @@ def assess_smoothed(
     )
     found.chi_square[:] = misfit
     found.misfit[:] = smoothed_score(misfit, freedom, common_misfit(misfit))
-
-
-def in_metres(
-    found: Fit,
-    chosen: NDArray[np.bool_],
-    photons: NDArray[np.float64],
-    frames: NDArray[np.float64] | None,
-    calibration: Calibration,
-    *,
-    search_ns: tuple[float, float],
-    range_correction: bool,
-    pileup_correction: bool,
-    assessed: bool,
-) -> Estimates:
-    """Convert fitted pixels to estimates: depth, reflectance and flags.
-
-    Parameters
-    ----------
-    found : Fit
-        Fit of the chosen pixels, in order.
-    chosen : ndarray of bool, shape (row, col)
-        Pixels that were fitted.
-    photons : ndarray of float, shape (row, col)
-        Counts of each pixel.
-    frames : ndarray of float, shape (row, col), or None
-        Exposures behind them.
-    calibration : Calibration
-        Calibration of the same instrument.
-    search_ns : tuple of float
-        Delays that were searched.
-    range_correction : bool
-        Multiply reflectance by (distance / reference distance)².
-    pileup_correction : bool
-        Undo the loss of photons after the first one of an exposure.
-    assessed : bool
-        It was tested whether one surface explains the counts.
-
-    Returns
-    -------
-    Estimates
-        Results of all pixels.
-    """
-    rows, cols = photons.shape
-    usable = calibration.usable
-    everywhere = bool(chosen.all())
-    blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
-    low_signal = ~(found.delay_std_ns < blind_ns)
-    no_return = found.detection < detection_threshold(search_ns)
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
-    # with a reference at 0, as of a sensor with one of its own, depth has an offset
-    has_target = calibration.distance > 0
-    behind = has_target & (calibration.distance + found.delay_ns * along_axis[chosen] <= 0)
-    low_ns, high_ns = search_ns[0] + LIMIT_NS, search_ns[1] - LIMIT_NS
-    outside = (found.delay_ns <= low_ns) | (found.delay_ns >= high_ns) | behind
-    unknown = low_signal | no_return | outside
-
-    def plane(values: NDArray[np.float64], *, told: bool = True) -> NDArray[np.float64]:
-        """As (…, row, col), but in memory as the fit gives it; NaN where nothing is told."""
-        if told and unknown.any():
-            values = values.copy()
-            values[unknown] = np.nan
-        if everywhere:
-            filled = values.reshape(rows, cols, *values.shape[1:])
-        else:
-            filled = np.full((rows, cols, *values.shape[1:]), np.nan)
-            filled[chosen] = values
-        return np.moveaxis(filled, (0, 1), (-2, -1))
-
-    misfit = common_misfit(found.chi_square[~unknown])
-    variance_ns = delay_variance(
-        found, chosen, calibration, misfit=misfit, least=detection_threshold(search_ns)
-    )
-    depth = calibration.distance + plane(found.delay_ns) * along_axis
-    depth_std = plane(np.sqrt(variance_ns)) * along_axis
-    other = calibration.distance + plane(found.other_ns) * along_axis
-
-    flags = {
-        Quality.LOW_SIGNAL: low_signal,
-        Quality.NO_RETURN: no_return,
-        Quality.OUT_OF_RANGE: outside & ~no_return,
-        Quality.AMBIGUOUS_LAG: np.isfinite(found.other_ns) & ~unknown,
-        Quality.MISFIT: (found.misfit > MISFIT) & ~unknown,
-    }
-    quality = _quality(calibration, chosen, flags)
-    scale = calibration.photon_scale(photons, frames, pileup_correction=pileup_correction)
-    quality[usable & is_piled_up(photons, frames, calibration.instrument)] |= int(Quality.PILED_UP)
-    relative = brightness_variance(calibration)[chosen]
-    if pileup_correction and frames is not None:
-        quality[usable & (photons >= frames)] |= int(Quality.SATURATED)
-        counted = (photons[chosen], frames[chosen], calibration.instrument)
-        relative += total_variance(*counted)[:, None]
-    if range_correction:
-        guess = calibration.distance + plane(found.delay_ns, told=False) * along_axis
-        scale = scale * relative_range(guess, calibration) ** 2
-    gain = scale[chosen][:, None] / calibration.brightness
-    deviation = np.sqrt(found.amplitude_std**2 * misfit + found.amplitudes**2 * relative)
-    reflectance, reflectance_std = plane(gain * found.amplitudes), plane(gain * deviation)
-    if range_correction:
-        reflectance_std = widened(reflectance_std, reflectance, depth, depth_std)
-    return Estimates(
-        depth=depth,
-        depth_std=depth_std,
-        other_depth=other,
-        reflectance=reflectance,
-        reflectance_std=reflectance_std,
-        background=plane(found.background, told=False)
-        * calibration.bin_width_ns
-        / calibration.bins.span_ns,
-        photons=photons,
-        quality=quality,
-        white_photons=calibration.brightness.sum() / scale,
-        fit_chi_square=plane(found.chi_square) if assessed else None,
-        fit_p_value=plane(p_value(found.misfit)) if assessed else None,
-    )
-
-
-def _quality(
-    calibration: Calibration,
-    chosen: NDArray[np.bool_],
-    flags: Mapping[Quality, NDArray[np.bool_]],
-) -> NDArray[np.uint16]:
-    """Return flags (row, col); `flags` are those of the chosen pixels (pixel,)."""
-    quality = np.zeros(chosen.shape, np.uint16)
-    quality[calibration.dead] |= int(Quality.DEAD)
-    quality[calibration.hot] |= int(Quality.HOT)
-    quality[calibration.usable & ~chosen] |= int(Quality.LOW_SIGNAL)
-    of_chosen = np.zeros(int(chosen.sum()), np.uint16)
-    for flag, pixels in flags.items():
-        of_chosen[pixels] |= int(flag)
-    quality[chosen] |= of_chosen
-    return quality

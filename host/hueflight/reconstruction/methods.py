@@ -18,6 +18,7 @@ from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import BINDING_OPTIONS, EstimatorOptions
 from hueflight.reconstruction.pooled import estimate as pooled
+from hueflight.reconstruction.sums import method as sums
 
 GROUP = "hueflight.methods"  #: entry points of other packages
 
@@ -63,6 +64,7 @@ METHODS: dict[str, Estimator] = {
     "joint": joint,
     "paper": paper,
     "pooled": pooled,
+    "sums": sums,
 }
 
 

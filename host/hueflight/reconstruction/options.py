@@ -8,10 +8,12 @@ from math import isfinite
 from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
-from hueflight.errors import HistogramError, HueflightError
+from hueflight.errors import HistogramError, HueflightError, ImageError
+from hueflight.files.bands import find_band
 from hueflight.fit.reference import DEFAULT, FitOptions
 from hueflight.model.background_shape import FLAT, BackgroundShape
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
@@ -131,6 +133,11 @@ class EstimatorOptions:
     mixed: bool = False
     second_returns: bool | Literal["auto"] = False
 
+    def __post_init__(self) -> None:
+        if self.depth_range is not None:  # a list or an array would be no key of kept tables
+            near, far = self.depth_range
+            object.__setattr__(self, "depth_range", (float(near), float(far)))
+
 
 #: fields of `EstimatorOptions` that change the result, so that a method must not ignore them
 BINDING_OPTIONS = frozenset(
@@ -217,7 +224,7 @@ def band_numbers(bands: Any, calibration: Calibration) -> list[int]:
     Parameters
     ----------
     bands : sequence of str or int, or None
-        Names or numbers; None for all bands.
+        Names, numbers or wavelengths such as ``"532 nm"``; None for all bands.
     calibration : Calibration
         Calibration of the instrument.
 
@@ -231,19 +238,17 @@ def band_numbers(bands: Any, calibration: Calibration) -> list[int]:
     HistogramError
         If one is not the instrument's, or none is asked for.
     """
-    names = [band.name for band in calibration.instrument.bands]
+    instrument = calibration.instrument
     if bands is None:
-        return list(range(len(names)))
-    numbers = []
-    for band in bands:
-        number = band
-        if isinstance(band, str) and band in names:
-            number = names.index(band)
-        elif isinstance(band, str) and band.isdecimal():
-            number = int(band)
-        if isinstance(number, str) or not 0 <= int(number) < len(names):
-            raise HistogramError(f"bands: there is no {band!r}; choose from {', '.join(names)}")
-        numbers.append(int(number))
+        return list(range(len(instrument.bands)))
+    names = [band.name for band in instrument.bands]
+    known = xr.Dataset(
+        coords={"wavelength": ("band", instrument.wavelengths_nm), "band_name": ("band", names)}
+    )
+    try:
+        numbers = [find_band(known, band) for band in bands]
+    except ImageError as error:
+        raise HistogramError(f"bands: {error}") from None
     if not numbers or len(set(numbers)) < len(numbers):
         raise HistogramError(f"bands = {bands!r}: name each band once, one at least")
     return numbers

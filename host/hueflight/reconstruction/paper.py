@@ -20,7 +20,6 @@ from scipy.ndimage import correlate1d
 
 from hueflight.calibration import Calibration, window_sums
 from hueflight.fit.correlation import correlate, peak_centroid
-from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.model.pileup import coates_correction, photons_per_period
 from hueflight.reconstruction.correlation_bias import background_share, correlation_bias
 from hueflight.reconstruction.estimates import Estimates
@@ -86,8 +85,7 @@ def estimate(
     sums[:, chosen] = measured.sums[kept].T
     background.ravel()[pixels] = measured.background
 
-    metres_per_bin = calibration.bin_width_ns * SPEED_OF_LIGHT_M_PER_NS / 2
-    along_axis = metres_per_bin * calibration.instrument.ray_cosine()
+    along_axis = calibration.bin_width_ns * calibration.meters_per_ns
     depth = calibration.distance + delay_bins * along_axis
     depth_std = delay_std * along_axis
     quality = np.zeros((rows, cols), np.uint16)

@@ -77,11 +77,11 @@ def relative_range(depth: NDArray[np.float64], calibration: Calibration) -> NDAr
 
 
 def widened(
-    deviation: NDArray[np.float64],
-    reflectance: NDArray[np.float64],
-    depth: NDArray[np.float64],
-    depth_std: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    deviation: NDArray[np.floating],
+    reflectance: NDArray[np.floating],
+    depth: NDArray[np.floating],
+    depth_std: NDArray[np.floating],
+) -> NDArray[np.floating]:
     """Add the uncertainty of the distance to that of a corrected reflectance.
 
     The correction multiplies by the square of the distance, so that the relative deviation of the
@@ -143,7 +143,7 @@ def range_correction_of(image: xr.Dataset) -> str | None:
 
 def relative_signal(
     image: xr.Dataset, calibration: Calibration
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Compute the signal relative to the reference, whether the image was corrected or not.
 
     Parameters
@@ -170,12 +170,12 @@ def relative_signal(
 
 
 def uncorrected(
-    reflectance: NDArray[np.float64],
-    deviation: NDArray[np.float64],
+    reflectance: NDArray[np.floating],
+    deviation: NDArray[np.floating],
     depth: NDArray[np.float64],
     depth_std: NDArray[np.floating],
     calibration: Calibration,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Undo the correction for the distance, and `widened`.
 
     Parameters

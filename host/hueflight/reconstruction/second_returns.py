@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pixels that see two surfaces by their own counts: glass, mesh, foliage.
 
-Two surfaces are fitted (`hueflight.fit.two_returns`) where one does not explain the counts. A
-pixel in a region of such pixels is tried as well, since panes are larger than a pixel, whereas a
-single pixel whose test fails by chance is not. Both depths are reported if two surfaces are far
-more likely than one and their delays are told apart.
+Two surfaces are fitted (`hueflight.fit.two_returns`) where one does not explain the counts, but not
+in a single pixel whose test fails by chance. Where they are found, the pixels in a region of those
+that fail are tried as well, since panes are larger than a pixel, and those around two surfaces are
+asked whether they see the same two (`pairs_around`). Both depths are reported if two
+surfaces are far more likely than one and their delays are told apart.
 """
 
 from __future__ import annotations
@@ -18,40 +19,32 @@ from scipy.special import log_ndtr
 
 from hueflight.calibration import Calibration
 from hueflight.fit.assessment import MISFIT, gamma_score, p_value
-from hueflight.fit.tables import ModelTables
 from hueflight.fit.two_returns import (
     TwoReturns,
-    best_single,
     fit_two_returns,
     one_surface_likelihood,
 )
-from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.deviations import brightness_variance, common_misfit
 from hueflight.reconstruction.estimates import Estimates
-from hueflight.reconstruction.fitted_counts import FittedCounts, arrival_ns
+from hueflight.reconstruction.fitted_counts import FittedCounts
+from hueflight.reconstruction.fitted_picture import FittedPicture
+from hueflight.reconstruction.pairs_around import with_neighbors
 from hueflight.reconstruction.quality import Quality
-from hueflight.reconstruction.range_correction import relative_range
-from hueflight.reconstruction.shared_scores import (
-    FittedPixels,
-    SharedModel,
-    explained_by,
-    sum_scores,
-)
+from hueflight.reconstruction.range_correction import relative_range, widened
+from hueflight.reconstruction.shared_scores import FittedPixels, explained_by
+from hueflight.reconstruction.told_apart import divided, told_apart
 
 LEAST_GAIN = 30.0  #: twice the log-likelihood ratio: fewer than 1 in 1000 of one surface exceed it
 CERTAIN_MISFIT = 5.0  #: score from which a pixel is tried although no neighbor fails
-MANY_NEIGHBORS = 2  #: that fail, next to which a pixel is tried although it passes
-APART = 2.0  #: standard deviations of the distance between the surfaces, at least
-LARGEST_INFLATION = 9.0  #: of an amplitude's variance by the other surface's pulses
+REACH = 2  #: rows and columns to either side within which pixels that fail are counted
+MANY_AROUND = 2  #: that fail around it, and a pixel that passes may be tried
+#: share of the amplitudes beyond that from which pulses of both surfaces coincide, and the factor
+#: on the deviations of both depths then: amplitudes that can't be negative leave no parabola
+COINCIDENT, COINCIDENT_FACTOR = 0.5, 1.5
 SAMPLE = 256  #: pixels that tell whether it is worth the time to try all others,
 WORTHWHILE = 0.02  #: which it is if this share of them sees two surfaces
-MOST_OTHERS = 512  #: pixels that tell what departs in the whole picture
-FEWEST_OTHERS, LEAST_OTHERS = 30, 0.1  #: pixels, and share of all, that have to be left for that
-TAILS_NS = (3.0, 15.0)  #: mean delays of exponential tails that are looked for
-TYPICAL_DELAY_NS, TYPICAL_WIDTH, TYPICAL_TAIL = 0.3, 0.1, 0.3  #: sizes of departures
 #: flags of one surface that no longer apply
 REPLACED = Quality.AMBIGUOUS_LAG | Quality.MISFIT | Quality.OUT_OF_RANGE
-LIMIT_NS = 1e-3  #: a delay so near the end of the searched range was cut off there
 
 _Floats = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
@@ -81,32 +74,65 @@ def with_second_returns(
         `second_depth` that of the far one.
     """
     tables = fitted.tables
+    estimates = with_room(estimates)
     if not tables.resolved or estimates.fit_p_value is None:
-        return with_room(estimates)
-    wanted = pixels_to_try(estimates)
-    if not wanted.any():
-        return with_room(estimates)
-    estimates = _copied(with_room(estimates))
-    data = _Data(estimates, fitted, calibration)
-    numbers = np.flatnonzero(wanted)
+        return estimates
+    unexplained, beside = pixels_to_try(estimates)
+    if not unexplained.any():
+        return estimates
+    estimates = _copied(estimates)
+    picture = FittedPicture(estimates, fitted, calibration)
+    numbers = np.flatnonzero(unexplained)
     sample = numbers[:: 1 if everywhere else max(1, numbers.size // SAMPLE)]
-    first = _tried(sample, data)
+    first = _tried(sample, picture)
     misfit = common_misfit(first.fit.chi_square)  # what two surfaces do not explain either
     if not (first.gain > LEAST_GAIN * misfit).any():
         return estimates
-    common = None if everywhere else data.common_departures(wanted)
-    kept = first.beyond(common, data) > LEAST_GAIN * misfit
-    rest = np.setdiff1d(numbers, sample)
+    wanted = unexplained | beside
+    common = None if everywhere else picture.common_departures(wanted)
+    kept = first.beyond(common, picture) > LEAST_GAIN * misfit
+    numbers, found = sample[kept], first.fit.take(kept)
+    rest = np.setdiff1d(np.flatnonzero(wanted), sample)
     if rest.size and kept.mean() >= WORTHWHILE:
-        others = _tried(rest, data)
-        more = others.beyond(common, data) > LEAST_GAIN * misfit
-        _put(estimates, rest[more], others.fit.take(more), fitted, calibration, misfit)
-    _put(estimates, sample[kept], first.fit.take(kept), fitted, calibration, misfit)
+        others = _tried(rest, picture)
+        more = others.beyond(common, picture) > LEAST_GAIN * misfit
+        numbers = np.concatenate([numbers, rest[more]])
+        found = TwoReturns.joined([found, others.fit.take(more)])
+    numbers, found = with_neighbors(numbers, found, single_surfaces(estimates), picture)
+    _put(estimates, numbers, found, fitted, calibration, misfit)
     return estimates
 
 
-def pixels_to_try(estimates: Estimates) -> _Mask:
-    """Return the pixels in which one surface may not be all.
+def pixels_to_try(estimates: Estimates) -> tuple[_Mask, _Mask]:
+    """Return the pixels in which one surface may not be all, and those around them.
+
+    Parameters
+    ----------
+    estimates : Estimates
+        Result of the joint fit with its assessment.
+
+    Returns
+    -------
+    unexplained : ndarray of bool, shape (row, col)
+        Pixels that fail the test for one surface by far, and those that fail it within two rows
+        and columns of another one; never mixed pixels.
+    beside : ndarray of bool, shape (row, col)
+        Other pixels within two rows and columns of at least two that fail. By chance, a clean
+        picture has some, so that they are worth the time only where two surfaces were found.
+    """
+    free = single_surfaces(estimates)
+    failing = free & ((estimates.quality & int(Quality.MISFIT)) != 0)
+    if not failing.any():
+        return failing, failing
+    around = _failing_around(failing)
+    assert estimates.fit_p_value is not None
+    certain = failing & (estimates.fit_p_value < p_value(np.array(CERTAIN_MISFIT)))
+    unexplained = certain | (failing & (around > 0))
+    return unexplained, free & (around >= MANY_AROUND) & ~unexplained
+
+
+def single_surfaces(estimates: Estimates) -> _Mask:
+    """Return the pixels to which one surface was fitted, so that they may see two.
 
     Parameters
     ----------
@@ -116,96 +142,24 @@ def pixels_to_try(estimates: Estimates) -> _Mask:
     Returns
     -------
     ndarray of bool, shape (row, col)
-        True for pixels that fail the test for one surface by far, for those that fail it next to
-        another one, and for those between at least two that fail; never for mixed pixels.
+        Pixels that show light, without mixed pixels.
     """
     quality = estimates.quality
     known = np.isfinite(estimates.depth) | (
         (quality & int(Quality.OUT_OF_RANGE | Quality.SKIPPED)) == int(Quality.OUT_OF_RANGE)
     )
-    free = known & ((quality & int(Quality.MIXED)) == 0)
-    failing = free & ((quality & int(Quality.MISFIT)) != 0)
-    if not failing.any():
-        return failing
-    padded = np.pad(failing, 1)
+    return known & ((quality & int(Quality.MIXED)) == 0)
+
+
+def _failing_around(failing: _Mask) -> NDArray[np.int8]:
+    """Number of failing pixels around each pixel."""
+    padded = np.pad(failing, REACH)
     rows, cols = failing.shape
-    beside = np.zeros(failing.shape, np.int8)
-    for row in range(3):
-        for col in range(3):
-            beside += padded[row : row + rows, col : col + cols]
-    beside -= failing
-    assert estimates.fit_p_value is not None
-    certain = failing & (estimates.fit_p_value < p_value(np.array(CERTAIN_MISFIT)))
-    return certain | (failing & (beside > 0)) | (free & (beside >= MANY_NEIGHBORS))
-
-
-@dataclass(frozen=True)
-class _Data:
-    """Estimates, and the counts that they were made from."""
-
-    estimates: Estimates
-    fitted: FittedCounts
-    calibration: Calibration
-
-    def light(self, numbers: NDArray[np.intp]) -> _Floats:
-        """Counts (pixel, bin) of pixels."""
-        return self.fitted.of(numbers, self.estimates.photons, self.calibration)
-
-    def pixels(self, numbers: NDArray[np.intp], light: _Floats) -> FittedPixels:
-        """Fit of one surface to pixels: from the estimates, where these state a depth."""
-        tables, calibration = self.fitted.tables, self.calibration
-        depth = self.estimates.depth.ravel()[numbers]
-        signal = self.estimates.reflectance.reshape(tables.bands, -1)[:, numbers].T
-        if self.fitted.range_correction:
-            signal = signal / relative_range(depth, calibration)[:, None] ** 2
-        white = self.fitted.white_photons(numbers, calibration)
-        background = self.estimates.background.ravel()[numbers]
-        arrivals, amplitudes = arrival_ns(depth, numbers, calibration), signal * white
-        unknown = ~np.isfinite(depth)
-        if unknown.any():
-            best = best_single(light[unknown], tables, calibration.brightness)
-            arrivals[unknown], amplitudes[unknown] = best
-        return FittedPixels(
-            counts=tables.search.summed(tables.fine.summed(light)),
-            arrival_ns=arrivals,
-            offset_ns=calibration.pixel_delay_ns.ravel()[numbers],
-            amplitudes=np.maximum(amplitudes, 0.0),
-            background=background * calibration.bins.span_ns / calibration.bin_width_ns,
-        )
-
-    def model(self) -> SharedModel:
-        """Departures that the pixels of a picture may share."""
-        tables, calibration = self.fitted.tables, self.calibration
-        edges_ns = calibration.bins.edges_ns[np.append(tables.fine.starts, -1)]
-        if tables.wide is not tables.fine:
-            edges_ns = edges_ns[np.append(tables.wide.starts, -1)]
-        return SharedModel(
-            edges_ns=edges_ns,
-            templates=calibration.templates,
-            background=tables.views[0].background,
-            step_ns=tables.fine.phase_ns,
-            tails_ns=TAILS_NS,
-            decays_ns=(),
-            flares_ns=(),
-        )
-
-    def common_departures(self, wanted: _Mask) -> _Floats:
-        """Sizes of the departures that the other pixels show, or all where few are left."""
-        flags = int(Quality.MIXED | Quality.MISFIT)
-        known = np.isfinite(self.estimates.depth)
-        others = known & ~wanted & ((self.estimates.quality & flags) == 0)
-        if others.sum() < max(FEWEST_OTHERS, LEAST_OTHERS * known.sum()):
-            others = known & ((self.estimates.quality & int(Quality.MIXED)) == 0)
-        numbers = np.flatnonzero(others)
-        numbers = numbers[:: max(1, numbers.size // MOST_OTHERS)]
-        model = self.model()
-        summed = sum_scores(self.pixels(numbers, self.light(numbers)), model)
-        bands = self.fitted.tables.bands
-        typical = np.repeat(
-            [TYPICAL_DELAY_NS, TYPICAL_WIDTH, 1.0, TYPICAL_TAIL], [bands, bands, 1, len(TAILS_NS)]
-        )
-        scaled = summed.information * np.outer(typical, typical) + np.eye(typical.size)
-        return np.asarray(typical * np.linalg.solve(scaled, typical * summed.score), np.float64)
+    count = np.zeros(failing.shape, np.int8)
+    for row in range(2 * REACH + 1):
+        for col in range(2 * REACH + 1):
+            count += padded[row : row + rows, col : col + cols]
+    return count - failing
 
 
 @dataclass(frozen=True)
@@ -219,31 +173,23 @@ class _Tried:
     one: FittedPixels
     gain: _Floats
 
-    def beyond(self, common: _Floats | None, data: _Data) -> _Floats:
+    def beyond(self, common: _Floats | None, picture: FittedPicture) -> _Floats:
         """Gain without what departures explain that other pixels show as well."""
         if common is None:
             return self.gain
-        return self.gain - explained_by(self.one, data.model(), common)
+        explained = explained_by(self.one, picture.model(), common)
+        return self.gain - np.maximum(explained, 0.0)
 
 
-def _tried(numbers: NDArray[np.intp], data: _Data) -> _Tried:
+def _tried(numbers: NDArray[np.intp], picture: FittedPicture) -> _Tried:
     """Fit two surfaces to some pixels."""
-    tables, light = data.fitted.tables, data.light(numbers)
-    one = data.pixels(numbers, light)
-    found = fit_two_returns(light, one.offset_ns, tables, data.calibration.brightness)
+    tables, light = picture.fitted.tables, picture.light(numbers)
+    one = picture.pixels(numbers, light)
+    found = fit_two_returns(light, one.offset_ns, tables, picture.calibration.brightness)
     likelihood = one_surface_likelihood(
         light, one.arrival_ns, one.amplitudes, one.background, tables
     )
-    apart = np.diff(found.delay_ns, axis=1)[:, 0]
-    noise = np.sqrt((found.delay_std_ns**2).sum(axis=1))
-    low, high = tables.search_ns
-    inside = (found.delay_ns > low + LIMIT_NS) & (found.delay_ns < high - LIMIT_NS)
-    bin_ns = np.diff(tables.search.lags_ns).mean() if tables.search.lags_ns.size > 1 else 0.0
-    distinct = (
-        (apart > np.maximum(APART * noise, bin_ns))
-        & inside.all(axis=1)
-        & (found.amplitudes.sum(axis=-1) > 0).all(axis=1)
-    )
+    distinct = told_apart(found, tables)
     return _Tried(found, one, np.where(distinct, 2 * (found.log_likelihood - likelihood), 0.0))
 
 
@@ -291,14 +237,17 @@ def _put(
 ) -> None:
     """Replace the results of pixels by those of two surfaces, in place."""
     here = np.unravel_index(numbers, estimates.depth.shape)
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()[here]
+    along_axis = calibration.meters_per_ns[here]
     variance = found.delay_std_ns**2 * misfit + calibration.pixel_delay_std_ns[here][:, None] ** 2
     if calibration.waveform_delay_std_ns is not None:
         variance = variance + found.influence**2 @ calibration.waveform_delay_std_ns**2
     depth = calibration.distance + found.delay_ns * along_axis[:, None]
     depth_std = np.sqrt(variance) * along_axis[:, None]
+    unknown = ~divided(found)
+    depth_std[unknown.mean(axis=(1, 2)) >= COINCIDENT] *= COINCIDENT_FACTOR
     white = fitted.white_photons(numbers, calibration)[:, None]
-    relative = brightness_variance(calibration)[here][:, None]
+    by_pixel, by_band = brightness_variance(calibration)
+    relative = by_pixel[here][:, None, None] + by_band
     reflectance = found.amplitudes / white
     noise = found.amplitude_std**2 * misfit
     deviation = np.sqrt(noise + found.amplitudes**2 * relative) / white
@@ -308,14 +257,12 @@ def _put(
         reflectance, deviation = (
             values * corrected[..., None] for values in (reflectance, deviation)
         )
-        by_range = 2 * reflectance * (depth_std / np.abs(depth))[..., None]
-        deviation = np.hypot(deviation, by_range)
-    unknown = found.inflation > LARGEST_INFLATION
+        deviation = widened(deviation, reflectance, depth[..., None], depth_std[..., None])
     reflectance[unknown] = deviation[unknown] = np.nan
     assert estimates.white_photons is not None
     assert estimates.fit_chi_square is not None
     assert estimates.fit_p_value is not None
-    score = gamma_score(found.chi_square, _shape(found, fitted.tables))
+    score = gamma_score(found.chi_square, found.chi_square_shape)
     explained = score <= MISFIT
     planes = {
         "depth": depth[:, 0],
@@ -338,9 +285,3 @@ def _put(
     flags = estimates.quality[here] & ~np.uint16(REPLACED)
     flags[~explained] |= np.uint16(Quality.MISFIT)
     estimates.quality[here] = flags | np.uint16(Quality.TWO_RETURNS)
-
-
-def _shape(found: TwoReturns, tables: ModelTables) -> _Floats:
-    """Shape of the distribution of χ² over its mean, as in `assessment`."""
-    freedom = max(tables.wide.widths.size - 2 * tables.bands - 3, 1)
-    return freedom**2 / (2 * freedom + found.spread)

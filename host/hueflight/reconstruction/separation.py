@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from hueflight.arguments import NUMBER, takes
 from hueflight.calibration import Calibration
 from hueflight.errors import ImageError
 from hueflight.files.image_schema import SERIES_DIM, require_image
@@ -66,12 +67,14 @@ def with_both_depths(
     """
     depth, depth_std = estimates.depth.copy(), estimates.depth_std
     depth[(estimates.quality & int(Quality.AMBIGUOUS_LAG)) != 0] = np.nan
+    edges = find_edges(depth, depth_std, lens_angle(calibration.instrument))
+    if not edges.row.size:
+        return _without_mixed(estimates)
     signal, signal_std = estimates.reflectance, estimates.reflectance_std
     if fitted.range_correction:
         signal, signal_std = uncorrected(
             signal, signal_std, estimates.depth, depth_std, calibration
         )
-    edges = find_edges(depth, depth_std, lens_angle(calibration.instrument))
     plateaus = plateaus_of(edges, depth, depth_std, signal, signal_std)
     mixed = edges.between.copy()
     values = (depth, depth_std, signal, signal_std)
@@ -120,6 +123,16 @@ def with_both_depths(
     )
 
 
+def _without_mixed(estimates: Estimates) -> Estimates:
+    """Estimates of an image without edges: what is said of mixed pixels is NaN."""
+    planes = ("second_depth", "second_depth_std", "near_share", "near_share_std")
+    cubes = ("near_reflectance", "second_reflectance")
+    nothing: dict[str, Any] = {name: np.full(estimates.depth.shape, np.nan) for name in planes}
+    for name in (*cubes, *(f"{cube}_std" for cube in cubes)):
+        nothing[name] = np.full(estimates.reflectance.shape, np.nan, np.float32)
+    return replace(estimates, **nothing)
+
+
 def _surface_light(
     edges: Edges,
     plateaus: Plateaus,
@@ -149,7 +162,7 @@ def _by_counts(
     edges: Edges,
     plateaus: Plateaus,
     estimates: Estimates,
-    signal: _Floats,
+    signal: NDArray[np.floating],
     fitted: FittedCounts,
     calibration: Calibration,
 ) -> NDArray[np.bool_]:
@@ -158,10 +171,10 @@ def _by_counts(
     numbers = np.ravel_multi_index(here, estimates.depth.shape)
     level = fitted.tables.wide
     light = fitted.of(numbers, estimates.photons, calibration)
-    counts = fitted.tables.search.summed(fitted.tables.fine.summed(light))
+    counts = fitted.tables.wide_counts(light)
     photons = fitted.white_photons(numbers, calibration)
 
-    def expected(depth: _Floats, light: _Floats) -> _Floats:
+    def expected(depth: _Floats, light: NDArray[np.floating]) -> _Floats:
         return waveforms(level, arrival_ns(depth, numbers, calibration), light.T * photons)
 
     background = estimates.background[here] * calibration.bins.span_ns / calibration.bin_width_ns
@@ -172,6 +185,7 @@ def _by_counts(
     return sees_both(counts, near, far, own, widths)
 
 
+@takes(image=xr.Dataset, calibration=Calibration, pixel_angle=NUMBER)
 def flag_mixed(
     image: xr.Dataset, calibration: Calibration, /, *, pixel_angle: float | None = None
 ) -> xr.Dataset:

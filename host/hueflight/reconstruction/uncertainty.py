@@ -11,11 +11,13 @@ instead which true values make the estimate likely, each with the variance that 
 from __future__ import annotations
 
 import xarray as xr
-from scipy.stats import norm
+from scipy.special import ndtri
 
+from hueflight.arguments import NUMBER, takes
 from hueflight.errors import ImageError
 
 
+@takes(image=xr.Dataset, level=NUMBER)
 def reflectance_interval(
     image: xr.Dataset, /, *, level: float = 0.95
 ) -> tuple[xr.DataArray, xr.DataArray]:
@@ -51,7 +53,7 @@ def reflectance_interval(
             "the image does not say how many photons a white surface would have given, which "
             "intervals need: reconstruct with method='joint'"
         )
-    z = float(norm.ppf((1 + level) / 2))
+    z = float(ndtri((1 + level) / 2))
     photon = 1 / (image["white_photons"] * image["white_share"])  # reflectance of one photon
     estimate, deviation = image["reflectance"], image["reflectance_std"]
     # the stated variance holds half a photon more, for those that could have come

@@ -19,16 +19,26 @@
 
 from hueflight.recording.finishing import finish_recording
 from hueflight.recording.reader import Recording, RecordingInfo, open_recording
+from hueflight.recording.recorded_sums import (
+    RecordedSums,
+    SumsDescription,
+    holds_recorded_sums,
+    read_sums,
+)
 from hueflight.recording.recovery import Outcome, Recovery, recover
 from hueflight.recording.writer import RecordingWriter
 
 __all__ = [
     "Outcome",
+    "RecordedSums",
     "Recording",
     "RecordingInfo",
     "RecordingWriter",
     "Recovery",
+    "SumsDescription",
     "finish_recording",
+    "holds_recorded_sums",
     "open_recording",
+    "read_sums",
     "recover",
 ]

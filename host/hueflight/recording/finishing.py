@@ -14,7 +14,6 @@ from hueflight.model.instrument import Instrument
 from hueflight.recording.layout import (
     OWN_NAMES,
     Description,
-    part_path,
     segment_files,
     segment_path,
     split_segment_path,
@@ -95,10 +94,7 @@ def _before(path: Path, number: int) -> tuple[int, dict[str, int]]:
     """Frames and totals of the segments before one."""
     if number == 0:
         return 0, {}
-    before = segment_path(path, number - 1)
-    if not before.exists() and part_path(before).exists():
-        raise RecordingError(f"{part_path(before)} is not finished")
-    reader = SegmentReader(before)
+    reader = SegmentReader(segment_path(path, number - 1))
     reader.close()
     return reader.closing.first + reader.closing.frames, reader.closing.report
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.arguments import PATH, takes
 from hueflight.errors import RecordingError, RecordingNotFoundError
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.accumulate import checked_threads, frames_by_step
@@ -464,6 +465,7 @@ class Recording:
         return (FRAME_HEADER.unpack(last)["timestamp"] - int(ticks[0])) / clock_hz
 
 
+@takes(path=PATH)
 def open_recording(path: str | Path, /, *, kernels: Kernels | None = None) -> Recording:
     """Open a recording, with all segments that belong to it.
 

@@ -45,10 +45,12 @@ from hueflight.recording.records import (
 )
 
 JSON = "application/json"
+FAILURES = (OSError, MemoryError)
+"""What ends a segment: a disk that is full or has vanished, and memory that is exhausted."""
 
 
 class Segment:
-    """Writes one file; after any `OSError` the file still has the whole records it had before.
+    """Writes one file, which keeps its whole records after any `OSError` or `MemoryError`.
 
     Parameters
     ----------
@@ -101,7 +103,7 @@ class Segment:
             capture = encode(Metadata("capture", description.metadata))
             self._capture = MetadataIndex(self._append([capture]), len(capture), "capture")
             self._append([encode(CHANNEL)])
-        except OSError:
+        except FAILURES:
             self.abandon()
             with suppress(OSError):
                 part_path(path).unlink(missing_ok=True)
@@ -120,32 +122,36 @@ class Segment:
     ) -> None:
         """Append packets; when this returns, they survive the end of this program."""
         publish_time = tick * 1_000_000_000 // clock_hz if clock_hz else 0
-        ordinal = self.first + self.frames
+        ordinal, frames_then = self.first + self.frames, self.frames + frames
         head, tail = encode_chunk(
             payload,
             sequence=ordinal,
             log_time=log_time,
             publish_time=publish_time & 0xFFFF_FFFF_FFFF_FFFF,
         )
-        start = self._append([head, payload, tail])
-        length = len(head) + len(payload)
+        start, length = self.size, len(head) + len(payload)
         size = MESSAGE_BYTES + len(payload)
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=start,
-                compression="",
-                compressed_size=size,
-                message_end_time=log_time,
-                message_index_length=len(tail),
-                message_index_offsets={CHANNEL.id: start + length},
-                message_start_time=log_time,
-                uncompressed_size=size,
-            )
+        chunk = ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=start,
+            compression="",
+            compressed_size=size,
+            message_end_time=log_time,
+            message_index_length=len(tail),
+            message_index_offsets={CHANNEL.id: start + length},
+            message_start_time=log_time,
+            uncompressed_size=size,
         )
         entry = (start + PAYLOAD_OFFSET, len(payload), ordinal, frames)
-        self._index.append((*entry, sequence, has_sequence, clock_hz, tick, log_time))
-        self.frames += frames
+        known = len(self._chunks)
+        try:  # the entries first: then nothing is in the file that the index lacks
+            self._index.append((*entry, sequence, has_sequence, clock_hz, tick, log_time))
+            self._chunks.append(chunk)
+            self._append([head, payload, tail])
+        except FAILURES:
+            del self._chunks[known:], self._index[known:]
+            raise
+        self.frames = frames_then
 
     def settle(self) -> None:
         """Wait until the disk has all that was written, and drop it from the page cache.
@@ -156,6 +162,8 @@ class Segment:
         begin, end = self.settled, self.size
         try:
             os.fsync(self._fd)
+            if not begin:  # bytes are of no use in a file whose name is lost
+                sync_folder(self.path.parent)
         except OSError as error:
             self._unkept = error
             raise
@@ -217,6 +225,7 @@ class Segment:
     def _append(self, parts: Sequence[bytes | memoryview]) -> int:
         """Write all of the parts, or leave the file as it was and raise; return their place."""
         start, left = self.size, [memoryview(part) for part in parts]
+        end = start + sum(len(part) for part in left)
         try:
             while left:
                 written = os.writev(self._fd, left)
@@ -224,10 +233,10 @@ class Segment:
                     written -= len(left.pop(0))
                 if left:
                     left[0] = left[0][written:]
-        except OSError:
+        except FAILURES:
             with suppress(OSError):
                 os.ftruncate(self._fd, start)
                 os.lseek(self._fd, start, os.SEEK_SET)
             raise
-        self.size = start + sum(len(part) for part in parts)
+        self.size = end
         return start

@@ -6,8 +6,9 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 
@@ -18,8 +19,10 @@ from hueflight.files import describe_existing
 from hueflight.ingest import kernels as backends
 from hueflight.ingest.buffer import PacketBuffer, pieces
 from hueflight.ingest.kernels import STATE, Kernels
+from hueflight.ingest.picture_totals import PictureTotals, holds_sums
 from hueflight.ingest.report import IngestReport
 from hueflight.model.instrument import Instrument
+from hueflight.recording.background import Background, Job
 from hueflight.recording.layout import (
     FORMAT,
     OWN_NAMES,
@@ -30,7 +33,7 @@ from hueflight.recording.layout import (
     segment_files,
     segment_path,
 )
-from hueflight.recording.segment import Segment
+from hueflight.recording.segment import FAILURES, Segment
 
 CHUNK_BYTES = 1 << 20
 SEGMENT_BYTES = 256 << 20
@@ -84,6 +87,8 @@ class RecordingWriter:
         Frames that arrived after writing had failed.
     lost_bytes : int
         Bytes of packets that arrived after writing had failed.
+    picture_frames, lost_picture_frames : int
+        The same for frames behind pictures of sums of which every packet came.
     error : RecordingError or None
         Reason why writing failed.
 
@@ -119,6 +124,8 @@ class RecordingWriter:
             raise RecordingError("segment_bytes, chunk_bytes and settle_bytes must be at least 1")
         self.frames = self.size = 0
         self.lost_frames = self.lost_bytes = 0
+        self.picture_frames = self.lost_picture_frames = 0
+        self._pictures = PictureTotals()
         self.error: RecordingError | None = None
         self._segment_bytes, self._segment_seconds = segment_bytes, segment_seconds
         self._chunk_bytes, self._flush_seconds = chunk_bytes, flush_seconds
@@ -140,14 +147,14 @@ class RecordingWriter:
         self._segments = 0
         self._told = True
         self._closed = False
-        self._disk = ThreadPoolExecutor(1, thread_name_prefix="disk")
-        self._finishing: Future[None] | None = None
-        self._settling: Future[None] | None = None
+        self._disk = Background("disk")
+        self._finishing: Job | None = None
+        self._settling: Job | None = None
         self._refuse_leftovers(overwrite)
         try:
             self._segment: Segment | None = self._start_segment()
-        except OSError as error:
-            raise RecordingError(f"can't start {self.path}: {error.strerror or error}") from error
+        except FAILURES as error:
+            raise RecordingError(f"can't start {self.path}: {reason_of(error)}") from error
 
     # -- public interface --------------------------------------------------------------------------
 
@@ -157,13 +164,13 @@ class RecordingWriter:
         state = self._buffer.scanner.state
         return IngestReport.from_state(state, photons=int(state[STATE.index("hits")]))
 
-    def write(self, packets: bytes | bytearray | memoryview, /) -> None:
+    def write(self, *packets: bytes | bytearray | memoryview) -> None:
         """Take the next bytes of the stream.
 
         Parameters
         ----------
-        packets : bytes-like
-            A piece of any size, cut anywhere.
+        *packets : bytes-like
+            Consecutive pieces of any size, cut anywhere.
 
         Raises
         ------
@@ -173,7 +180,7 @@ class RecordingWriter:
         """
         if self._closed:
             raise RecordingError(f"{self.path}: the recording is closed")
-        for _ in pieces(self._buffer, packets):
+        for _ in pieces(self._buffer, *packets):
             self._advance(final=False)
         if self._waiting_since is None:
             self._waiting_since = time.monotonic()
@@ -227,10 +234,8 @@ class RecordingWriter:
             return
         try:
             self._segment = self._start_segment()
-        except OSError as error:
-            raise RecordingError(
-                f"can't continue {self.path}: {error.strerror or error}"
-            ) from error
+        except FAILURES as error:
+            raise RecordingError(f"can't continue {self.path}: {reason_of(error)}") from error
         self.error = None
 
     def close(self) -> None:
@@ -245,12 +250,15 @@ class RecordingWriter:
             return
         self._closed = True
         try:
-            self._advance(final=True)
+            try:
+                self._advance(final=True)
+            except MemoryError as error:
+                self._fail(error)
             self._finish_segment(last=True)
             self._wait_for_disk()
             self._tell()
         finally:
-            self._disk.shutdown()
+            self._disk.close()
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -269,6 +277,8 @@ class RecordingWriter:
         buffer = self._buffer
         while True:
             ended = buffer.scan(limit=FRAMES_AT_HAND, final=final)
+            for packet in filter(holds_sums, buffer.others):
+                self._pictures.feed(packet)
             buffer.others.clear()  # they are in the stream anyway
             if not ended or final or buffer.tight or len(buffer.complete) >= self._chunk_bytes:
                 self._store()
@@ -280,22 +290,38 @@ class RecordingWriter:
         payload, frames = self._buffer.complete, self._buffer.scanner.frames
         if not payload:
             return
-        if self._segment is not None:
-            try:
-                self._append(self._segment, payload)
-                self.frames += frames
-                self.size += len(payload)
-                self._settle(self._segment)
-            except OSError as error:
-                self._fail(error)
-        if self._segment is None:
-            self.lost_frames += frames
-            self.lost_bytes += len(payload)
+        # What needs memory comes first: packets that are stored must be counted and given up
         state = self._buffer.scanner.state
-        self._sequence = (int(state[_SEQUENCE]), int(state[_HAS_SEQUENCE]))
+        sequence = (int(state[_SEQUENCE]), int(state[_HAS_SEQUENCE]))
+        stored = (self.frames + frames, self.size + len(payload))
+        lost = (self.lost_frames + frames, self.lost_bytes + len(payload))
+        in_pictures = self._pictures.frames - self.picture_frames - self.lost_picture_frames
+        if self._appended(payload):
+            self.frames, self.size = stored
+            self.picture_frames += in_pictures
+        else:
+            self.lost_frames, self.lost_bytes = lost
+            self.lost_picture_frames += in_pictures
+            self._pictures.interrupt()
+        self._sequence = sequence
         self._buffer.release()
         self._waiting_since = None
+        self._settle()
         self._rotate()
+
+    def _appended(self, payload: memoryview) -> bool:
+        """Append packets to the segment, if there is one; return whether they are in the file."""
+        if self._segment is None:
+            if self.error is None:  # an error of another kind kept a segment from being started
+                self.error = RecordingError(f"{self.path}: there is no file to write to")
+                self._told = False
+            return False
+        try:
+            self._append(self._segment, payload)
+        except FAILURES as error:
+            self._fail(error)
+            return False
+        return True
 
     def _append(self, segment: Segment, payload: memoryview) -> None:
         scanner = self._buffer.scanner
@@ -310,15 +336,19 @@ class RecordingWriter:
             has_sequence=self._sequence[1],
         )
 
-    def _settle(self, segment: Segment) -> None:
+    def _settle(self) -> None:
         """Start to flush written data to the disk, unless an earlier flush is in progress."""
-        if self._settling is not None:
-            if not self._settling.done():
-                return
-            settled, self._settling = self._settling, None
-            settled.result()
-        if segment.size - segment.settled >= self._settle_bytes:
-            self._settling = self._disk.submit(segment.settle)
+        segment, settling = self._segment, self._settling
+        try:
+            if settling is not None:
+                if not settling.done:
+                    return
+                self._settling = None
+                settling.result()
+            if segment is not None and segment.size - segment.settled >= self._settle_bytes:
+                self._settling = self._disk.submit(segment.settle)
+        except FAILURES as error:
+            self._fail(error)
 
     def _tell(self) -> None:
         """Raise a failure that has not been reported yet."""
@@ -337,7 +367,7 @@ class RecordingWriter:
             self._finish_segment(last=False)
             try:
                 self._segment = self._start_segment() if self.error is None else None
-            except OSError as error:
+            except FAILURES as error:
                 self._fail(error)
 
     def _start_segment(self) -> Segment:
@@ -357,36 +387,47 @@ class RecordingWriter:
     def _finish_segment(self, *, last: bool) -> None:
         """Hand the segment to the background thread, after the one before is done."""
         self._wait_for_disk()
-        segment, self._segment = self._segment, None
-        if segment is not None:
-            report = self.report.as_dict()
-            self._finishing = self._disk.submit(segment.finish, last=last, report=report)
-
-    def _wait_for_disk(self) -> None:
-        working = [work for work in (self._finishing, self._settling) if work is not None]
-        self._finishing = self._settling = None
-        wait(working)
+        segment = self._segment
+        if segment is None:
+            return
         try:
-            for work in working:
-                work.result()
-        except OSError as error:
+            finish = partial(segment.finish, last=last, report=self.report.as_dict())
+            self._finishing = self._disk.submit(finish)
+            self._segment = None
+        except MemoryError as error:
             self._fail(error)
 
-    def _fail(self, error: OSError) -> None:
-        """Close the segment as well as possible, and note the failure."""
-        kept = f"{self.frames} frames before it are kept"
+    def _wait_for_disk(self) -> None:
+        finishing, settling = self._finishing, self._settling
+        self._finishing = self._settling = None
+        working = [work for work in (finishing, settling) if work is not None]
+        for work in working:  # a segment that is still used must not be closed
+            work.wait()
+        for work in working:
+            try:
+                work.result()
+            except FAILURES as error:
+                self._fail(error, part=work is finishing)
+
+    def _fail(self, error: OSError | MemoryError, *, part: bool = False) -> None:
+        """Close the segment as well as possible, and note the failure.
+
+        `part` tells that an earlier segment could not be finished.
+        """
         segment, self._segment = self._segment, None
-        if self._settling is not None:
-            wait([self._settling])  # it uses the file; what it says of the disk is known by now
-            self._settling = None
+        settling, self._settling = self._settling, None
         try:
+            if settling is not None:  # it uses the file; what it says of the disk is known by now
+                with suppress(*FAILURES):
+                    settling.result()
             if segment is not None:
                 segment.finish(last=True, report=self.report.as_dict())
-        except OSError:
+        except FAILURES:
+            part = True
+        kept = f"{self.frames} frames before it are kept"
+        if part:
             kept += f", the last of them in a {PART} file: save them with recover"
-        self.error = RecordingError(
-            f"writing {self.path} failed: {error.strerror or error}; {kept}"
-        )
+        self.error = RecordingError(f"writing {self.path} failed: {reason_of(error)}; {kept}")
         self._told = False
 
     def _refuse_leftovers(self, overwrite: bool) -> None:
@@ -401,3 +442,10 @@ class RecordingWriter:
             raise RecordingError(describe_existing(finished[0]))
         for path in (*finished, *unfinished):
             path.unlink()
+
+
+def reason_of(error: OSError | MemoryError, /) -> str:
+    """Return in a few words why the system failed."""
+    if isinstance(error, MemoryError):
+        return "memory is exhausted"
+    return error.strerror or str(error)

@@ -29,6 +29,7 @@ DISTANCES_M = (0.5, 1.0, 1.5)  #: distances of the scene in the paper's Fig. 7
 PAPER_ROWS = 192  #: rows of the sensor to which the paper's row numbers refer
 PROFILE_ROWS = (139, 56)  #: rows of the paper's Fig. 6
 DISTANCES_ROW = 80  #: a row that crosses the window of the wall at all three distances
+FEW_FRAMES = 100  #: of the capture that stands for depth from few photons
 POOLED_BELOW_FRAMES = 2000  #: captures with fewer frames are pooled over neighbors
 RANGE_PHOTONS = 10_000  #: signal photons of one range measurement of Fig. 9
 #: detections per period at 1 m in Fig. 9; few, as the first-photon sensor distorts bright pulses
@@ -61,6 +62,11 @@ class Capture:
     image: xr.Dataset
     joint: xr.Dataset
     frames: int
+
+    @property
+    def images(self) -> tuple[xr.Dataset, xr.Dataset]:
+        """The image of the paper's method, and that of ours."""
+        return self.image, self.joint
 
 
 @dataclass(frozen=True)

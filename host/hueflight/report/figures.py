@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -15,6 +16,7 @@ from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.paper import search_bins
 from hueflight.report.experiments import (
     DISTANCES_ROW,
+    FEW_FRAMES,
     POOLED_BELOW_FRAMES,
     PROFILE_ROWS,
     Capture,
@@ -33,7 +35,36 @@ from hueflight.report.style import (
     show_plane,
 )
 
+GLANCE_REGION = "green brick"  #: whose spectrum the first figure shows
 SPECTRUM_REGIONS = ("red brick", "green brick", "blue brick", "purple brick", "horse", "saddle")
+
+
+def at_a_glance(findings: Findings) -> Figure:
+    """What goes in and what comes out: counts, depth from few frames, colour and a spectrum."""
+    few, main = findings.frame_series[FEW_FRAMES], findings.main
+    aspect = pixel_aspect(findings.instrument)
+    limits = _depth_limits(few)
+    figure, ((pulses, published, ours), (colour, spectrum, truth)) = panels(
+        2, 3, width=11.5, height=5.6
+    )
+    _draw_windows(pulses, findings)
+    pulses.set_title("Photons of one pixel, nine colors of light")
+    for place, depth, title in (
+        (published, few.image["depth"].values, f"Depth, {FEW_FRAMES} frames, published method"),
+        (ours, few.joint["depth"].values, f"Depth, the same {FEW_FRAMES} frames, Hueflight"),
+        (truth, few.truth.depth, "True depth"),
+    ):
+        shown = show_plane(
+            place, depth, aspect=aspect, limits=limits, colours=DEPTH_MAP, title=title
+        )
+        figure.colorbar(shown, ax=place, label="depth / m", shrink=0.85)
+    colour.imshow(three_band_rgb(main.joint), aspect=aspect, interpolation="nearest")
+    colour.set_title(f"Color from three of nine bands, {main.frames} frames")
+    colour.axis("off")
+    _draw_spectra(spectrum, findings, GLANCE_REGION)
+    spectrum.set_title(f"Spectrum of the {GLANCE_REGION}")
+    label_lines(spectrum, "wavelength / nm", "reflectance")
+    return figure
 
 
 def histograms_and_correlation(findings: Findings) -> Figure:
@@ -79,33 +110,14 @@ def histograms_and_correlation(findings: Findings) -> Figure:
 
 def band_windows(findings: Findings) -> Figure:
     """Fig. 3: the window of bins that belongs to each LED, with its counts."""
-    calibration = findings.calibration
-    bins = calibration.bins
-    row, col = example_pixel(findings)
-    counts = bins.in_time_order(findings.main.histogram)[row, col]
-    delay_ns = _delay_ns(findings, row, col)
-    shift = round(float(calibration.pixel_delay[row, col]) + delay_ns / calibration.bin_width_ns)
     figure, ((axes,),) = panels(width=10, height=3.4)
-    axes.step(bins.centers_ns, counts, where="mid", color="0.25", linewidth=0.8)
-    top = counts.max()
-    for window in calibration.windows:
-        band = calibration.instrument.bands[window.band]
-        inside = np.arange(window.start, window.stop) + shift
-        edges_ns = bins.edges_ns[np.clip([inside[0], inside[-1] + 1], 0, bins.count)]
-        total = int(counts[inside % bins.count].sum())
-        colour = wavelength_colour(band.wavelength_nm)
-        axes.add_patch(
-            Rectangle(
-                (edges_ns[0], 0), edges_ns[1] - edges_ns[0], 1.02 * top, color=colour, alpha=0.18
-            )
-        )
-        middle = edges_ns.mean()
+    for (low_ns, high_ns), nm, total, top in _draw_windows(axes, findings):
         axes.annotate(
-            f"{band.wavelength_nm:.0f} nm\n{total}", (middle, 1.05 * top), ha="center", fontsize=8
+            f"{nm:.0f} nm\n{total}", ((low_ns + high_ns) / 2, 1.05 * top), ha="center", fontsize=8
         )
-    axes.set_ylim(0, 1.28 * top)
+    axes.set_ylim(top=1.28 * axes.get_ylim()[1])
+    row, col = example_pixel(findings)
     axes.set_title(f"Windows of the nine LEDs, moved by this pixel's delay; pixel ({row}, {col})")
-    label_lines(axes, "arrival time / ns", "counts per bin", legend=False)
     return figure
 
 
@@ -141,27 +153,12 @@ def reflectance_images(findings: Findings) -> Figure:
 
 def spectra_of_regions(findings: Findings) -> Figure:
     """Figs. 4(k) and 5: mean spectra of regions by both methods, with their true spectra."""
-    capture, instrument = findings.main, findings.instrument
-    regions = capture.truth.regions
+    regions = findings.main.truth.regions
     names = [name for name in SPECTRUM_REGIONS if name in regions and regions[name].any()]
-    masks = {name: regions[name] for name in names}
-    order = np.argsort(instrument.wavelengths_nm)
-    wavelengths = instrument.wavelengths_nm[order]
     figure, axes = panels(2, 3, width=10, height=4.6, sharex=True)
-    for label, image, look in (("paper", capture.image, PAPER), ("joint", capture.joint, JOINT)):
-        spectra = region_spectra(image, masks)
-        for name, place in zip(names, axes.flat, strict=False):
-            measured = spectra["reflectance"].sel(region=name).values[order]
-            error = spectra["reflectance_std"].sel(region=name).values[order]
-            place.errorbar(
-                wavelengths, measured, yerr=error, marker="o", markersize=3.5, capsize=2,
-                label=label, **look,
-            )  # fmt: skip
     for name, place in zip(names, axes.flat, strict=False):
-        truth = capture.truth.reflectance[:, regions[name]].mean(axis=1)[order]
-        place.plot(wavelengths, truth, label="truth", **TRUTH)
+        _draw_spectra(place, findings, name)
         place.set_title(name)
-        place.set_ylim(bottom=0)
     for place in axes[-1]:
         place.set_xlabel("wavelength / nm")
     for place in axes[:, 0]:
@@ -320,6 +317,54 @@ def scene_truth(findings: Findings) -> Figure:
     shown = show_plane(right, truth.depth, aspect=aspect, colours=DEPTH_MAP, title="b  True depth")
     figure.colorbar(shown, ax=right, label="depth / m", shrink=0.85)
     return figure
+
+
+def _draw_windows(
+    axes: Axes, findings: Findings
+) -> list[tuple[tuple[float, float], float, int, float]]:
+    """Draw the counts of the example pixel and the windows of its bands.
+
+    Returns the limits of each window in ns, its wavelength in nm, its counts, and the counts of the
+    highest bin.
+    """
+    calibration = findings.calibration
+    bins = calibration.bins
+    row, col = example_pixel(findings)
+    counts = bins.in_time_order(findings.main.histogram)[row, col]
+    delay_ns = _delay_ns(findings, row, col)
+    shift = round(float(calibration.pixel_delay[row, col]) + delay_ns / calibration.bin_width_ns)
+    axes.step(bins.centers_ns, counts, where="mid", color="0.25", linewidth=0.8)
+    top = float(counts.max())
+    drawn = []
+    for window in calibration.windows:
+        nm = calibration.instrument.bands[window.band].wavelength_nm
+        inside = np.arange(window.start, window.stop) + shift
+        low_ns, high_ns = bins.edges_ns[np.clip([inside[0], inside[-1] + 1], 0, bins.count)]
+        look = {"color": wavelength_colour(nm), "alpha": 0.18}
+        axes.add_patch(Rectangle((low_ns, 0), high_ns - low_ns, 1.02 * top, **look))
+        total = int(counts[inside % bins.count].sum())
+        drawn.append(((float(low_ns), float(high_ns)), nm, total, top))
+    axes.set_ylim(0, 1.04 * top)
+    label_lines(axes, "arrival time / ns", "counts per bin", legend=False)
+    return drawn
+
+
+def _draw_spectra(axes: Axes, findings: Findings, region: str) -> None:
+    """Draw the mean spectrum of a region by both methods, and its true spectrum."""
+    capture, instrument = findings.main, findings.instrument
+    inside = capture.truth.regions[region]
+    order = np.argsort(instrument.wavelengths_nm)
+    wavelengths = instrument.wavelengths_nm[order]
+    for label, image, look in (("paper", capture.image, PAPER), ("joint", capture.joint, JOINT)):
+        found = region_spectra(image, {region: inside}).sel(region=region)
+        axes.errorbar(
+            wavelengths, found["reflectance"].values[order],
+            yerr=found["reflectance_std"].values[order],
+            marker="o", markersize=3.5, capsize=2, label=label, **look,
+        )  # fmt: skip
+    truth = capture.truth.reflectance[:, inside].mean(axis=1)[order]
+    axes.plot(wavelengths, truth, label="truth", **TRUTH)
+    axes.set_ylim(bottom=0)
 
 
 def example_pixel(findings: Findings) -> tuple[int, int]:

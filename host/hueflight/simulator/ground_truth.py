@@ -150,9 +150,10 @@ def _secondary(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """`EffectTruth.crosstalk` and `EffectTruth.trapped`, (row, col)."""
     crosstalk, trapped = np.zeros(scene.shape), np.zeros(scene.shape)
-    rates = expected_rates(scene, instrument, settings)
-    if rates.secondary is None:
+    if not (settings.effects.crosstalk_share or settings.effects.afterpulse_share):
         return crosstalk, trapped
+    rates = expected_rates(scene, instrument, settings)
+    assert rates.secondary is not None
     everything = range(scene.shape[0])
     fired = rates.occupancy()[..., None]
     for share, occupancy in rates.secondary.neighbors(fired, everything, everything):

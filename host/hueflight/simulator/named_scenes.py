@@ -24,6 +24,7 @@ from hueflight.simulator.scene_layout import Layout, SurfaceTable
 from hueflight.simulator.shapes import Array
 
 MOMENTS = 16  #: positions of a scene that moves during a capture
+BALL_RADIUS_M = 0.012
 
 
 def plane(*, distance: float = 1.0, surface: str | float = "white") -> Layout:
@@ -119,6 +120,36 @@ def empty() -> Layout:
     return Layout((), SurfaceTable(), {})
 
 
+def with_ball(layout: Layout, place_m: tuple[float, float, float]) -> Layout:
+    """Add a white ball to a layout.
+
+    Parameters
+    ----------
+    layout : Layout
+        Contents of the scene, whose table of surfaces gets the ball's.
+    place_m : tuple of float
+        Middle of the ball: metres to the right, down and away from the camera.
+
+    Returns
+    -------
+    Layout
+        The layout with the ball as a layer and a region.
+    """
+    right, down, away = place_m
+    index = layout.surfaces.add("ball", reflectance("white"))
+
+    def squared_height(x: Array, y: Array) -> Array:
+        return BALL_RADIUS_M**2 - (x - right) ** 2 - (y - down) ** 2
+
+    layer = Layer(
+        away,
+        lambda x, y: np.where(squared_height(x, y) > 0, index, NOTHING),
+        lambda x, y: np.sqrt(np.maximum(squared_height(x, y), 0)),
+    )
+    regions = layout.regions | {"ball": ("ball",)}
+    return replace(layout, layers=(*layout.layers, layer), regions=regions)
+
+
 @dataclass(frozen=True)
 class NamedScene:
     """A scene that can be chosen by name.
@@ -176,6 +207,7 @@ def scene(
     indirect: float = 0.03,
     rays: int = 1,
     motion: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ball: tuple[float, float, float] | None = None,
     **options: Any,
 ) -> Scene:
     """Lay out a named scene for an instrument.
@@ -202,6 +234,9 @@ def scene(
         How far the scene moves during a capture: metres to the right, down and away from the
         camera. `Scene.moments` then holds the scene at 16 moments, and the scene itself is that at
         the middle of the capture.
+    ball : tuple of float, optional
+        Where the middle of a white ball is that is added to the scene: metres to the right, down
+        and away from the camera. Its radius is `BALL_RADIUS_M`.
     **options : float, int or str
         Options of the scene: the keyword arguments of its `SCENES` entry's `build`.
 
@@ -225,6 +260,8 @@ def scene(
     if not 0 <= indirect <= 1:
         raise SceneError(f"indirect = {indirect!r}: must be from 0 to 1")
     layout = entry.build(**options)
+    if ball is not None:
+        layout = with_ball(layout, ball)
     if not all(isfinite(part) for part in motion):
         raise SceneError(f"motion = {motion!r}: must be three finite numbers, in metres")
     for layer in layout.layers:

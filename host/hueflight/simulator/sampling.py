@@ -112,7 +112,8 @@ def simulate_codes(
     seed : int or sequence of int
         Seed of the photon noise.
     rows : slice
-        Rows of the image to simulate, for example those of one scan step; all by default.
+        Rows of the image to simulate, for example those of one scan step; all by default. Crosstalk
+        is exact for whole scan steps only: others lack the neighbors above and below.
     block_frames : int
         Largest number of frames in one block.
 
@@ -146,22 +147,55 @@ def _draw_codes(
     rates: Rates, frames: int, rng: np.random.Generator, block_frames: int
 ) -> Iterator[NDArray[np.uint16]]:
     """Blocks of codes, shape (frame, row, col), by inverting the cumulative distribution."""
-    rows, cols = rates.shape
-    thresholds = _thresholds(rates).reshape(rows * cols, -1)
-    # a draw beyond the last threshold is an empty exposure, code 0
+    thresholds = code_thresholds(rates)
     code_of_bin = np.append(rates.bins.codes, 0).astype(np.uint16)
     for start in range(0, frames, block_frames):
-        count = min(block_frames, frames - start)
-        draws = rng.integers(0, _FULL_SCALE, (rows * cols, count), dtype=np.uint32)
-        codes = np.empty((rows * cols, count), dtype=np.uint16)
-        for pixel in range(rows * cols):
-            found = np.searchsorted(thresholds[pixel], draws[pixel], side="right")
-            codes[pixel] = code_of_bin[found]
-        yield np.ascontiguousarray(codes.T).reshape(count, rows, cols)
+        found = draw_bins(thresholds, min(block_frames, frames - start), rng)
+        yield np.ascontiguousarray(code_of_bin[found])
 
 
-def _thresholds(rates: Rates) -> NDArray[np.uint32]:
-    """Cumulative probability over bins in time order, (row, col, bin), in units of 2⁻³²."""
+def draw_bins(
+    thresholds: NDArray[np.uint32], frames: int, rng: np.random.Generator
+) -> NDArray[np.uint16]:
+    """Draw the time bin of every pixel of some frames.
+
+    Parameters
+    ----------
+    thresholds : ndarray of uint32, shape (row, col, bin)
+        Cumulative probabilities as of `code_thresholds`.
+    frames : int
+        Number of frames.
+    rng : numpy.random.Generator
+        Source of random numbers.
+
+    Returns
+    -------
+    ndarray of uint16, shape (frame, row, col)
+        Index of the bin in order of arrival time; the number of bins for an empty exposure.
+    """
+    rows, cols, bins = thresholds.shape
+    table = thresholds.reshape(rows * cols, bins)
+    draws = rng.integers(0, _FULL_SCALE, (rows * cols, frames), dtype=np.uint32)
+    found = np.empty((rows * cols, frames), dtype=np.uint16)
+    for pixel in range(rows * cols):
+        found[pixel] = np.searchsorted(table[pixel], draws[pixel], side="right")
+    return found.T.reshape(frames, rows, cols)
+
+
+def code_thresholds(rates: Rates) -> NDArray[np.uint32]:
+    """Return the cumulative probabilities of codes, by which codes are drawn.
+
+    Parameters
+    ----------
+    rates : Rates
+        Photons of each pixel.
+
+    Returns
+    -------
+    ndarray of uint32, shape (row, col, bin)
+        Cumulative probability over bins in order of arrival time, in units of 2⁻³². A draw beyond
+        the last one is an empty exposure.
+    """
     result = np.empty((*rates.shape, rates.bins.count), dtype=np.uint32)
     for rows, probabilities in probability_tiles(rates):
         cumulative = np.cumsum(probabilities[..., rates.bins.codes], axis=-1)

@@ -232,7 +232,6 @@ def _packets(
 ) -> Iterator[bytes]:
     """Packets of all exposures, scan positions and frames, in this order."""
     sensor = instrument.sensor
-    frame_s = 1 / sensor.frame_rate_hz if sensor.frame_rate_hz else (sensor.exposure_ms or 1) * 1e-3
     number = count()
     for index, part in enumerate(parts):
         for position in range(sensor.scan_steps):
@@ -245,16 +244,58 @@ def _packets(
                 rows=slice(position * sensor.rows, (position + 1) * sensor.rows),
             )
             for codes in (frame for block in blocks for frame in block):
-                frame = next(number)
-                yield encode_frame(
+                yield frame_packet(
                     codes,
-                    sequence=frame % 2**32,
-                    frame=frame,
-                    timestamp=round(frame * frame_s * clock_hz),
-                    code_bits=sensor.code_bits,
-                    periods=periods_per_exposure(instrument),
-                    flags=FrameFlags.SIMULATED,
+                    instrument,
+                    next(number),
                     step=index * sensor.scan_steps + position,
                     capture=capture,
                     clock_hz=clock_hz,
                 )
+
+
+def frame_packet(
+    codes: NDArray[np.uint16],
+    instrument: Instrument,
+    frame: int,
+    *,
+    step: int = 0,
+    capture: int = 0,
+    clock_hz: int = 100_000_000,
+) -> bytes:
+    """Return the packet of one simulated frame.
+
+    Parameters
+    ----------
+    codes : ndarray of uint16, shape (row, col)
+        Codes of all pixels of the sensor.
+    instrument : Instrument
+        Simulated instrument.
+    frame : int
+        Number of the frame, from 0.
+    step : int
+        Step marker of the illuminator.
+    capture : int
+        Capture number.
+    clock_hz : int
+        Frequency of the device clock whose ticks the timestamp counts, Hz.
+
+    Returns
+    -------
+    bytes
+        The packet.
+    """
+    sensor = instrument.sensor
+    frame_s = 1 / sensor.frame_rate_hz if sensor.frame_rate_hz else (sensor.exposure_ms or 1) * 1e-3
+    return encode_frame(
+        codes,
+        sequence=frame % 2**32,
+        frame=frame,
+        timestamp=round(frame * frame_s * clock_hz),
+        code_bits=sensor.code_bits,
+        periods=periods_per_exposure(instrument),
+        flags=FrameFlags.SIMULATED,
+        step=step,
+        capture=capture,
+        clock_hz=clock_hz,
+    )

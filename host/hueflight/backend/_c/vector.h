@@ -75,9 +75,6 @@ INLINE vec reciprocal(vec x) { return 1.0f / x; }
 INLINE vec reciprocal_root(vec x) { return 1.0f / root(x); }
 #endif
 
-/* Nearest whole numbers of numbers below 2²² in size. */
-INLINE vec nearest(vec x) { return (x + 12582912.0f) - 12582912.0f; }
-
 INLINE ivec lane_numbers(void)
 {
     ivec n = {0};

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import structlog
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from hueflight.daemon.http.refusal import RequestRefused, refuse
+from hueflight.daemon.http.refusal import RequestRefusedError, refuse
 from hueflight.daemon.http.roles import (
     GUARDED,
     SESSION_PATH,
@@ -86,7 +86,7 @@ class AccessControl:
                 sender = self._senders.of(scope, headers)
                 client = sender.client
                 found = self._check_sender(scope, headers, sender)
-            except RequestRefused:
+            except RequestRefusedError:
                 # a page of another site in the user's own browser must not use up the user's
                 # requests, nor may one who guesses tokens
                 self._check_rate(f"{client} refused")
@@ -94,7 +94,7 @@ class AccessControl:
             guessing = scope["path"] == SESSION_PATH and found.token == "wrong"
             self._check_rate(f"{client} refused" if guessing else client)
             limited = _Body(receive, self._config.max_body_bytes, headers)
-        except RequestRefused as refused:
+        except RequestRefusedError as refused:
             self._log(scope, client, refused)
             await refuse(scope, receive, send, refused)
             return
@@ -106,22 +106,26 @@ class AccessControl:
     ) -> Permission:
         host = sender.host
         if not self._hosts.serves(sender):
-            raise RequestRefused(
+            raise RequestRefusedError(
                 421,
                 f"host {host[:80]!r} is not served by this daemon: add it to server.allowed_hosts",
                 "host",
             )
         origin = headers.get("origin")
         if origin is not None and not _is_same(origin, sender):
-            raise RequestRefused(403, "the request comes from a page of another origin", "origin")
+            raise RequestRefusedError(
+                403, "the request comes from a page of another origin", "origin"
+            )
         site = headers.get("sec-fetch-site", "none")
         if site not in ("same-origin", "none") and scope["path"].startswith(GUARDED):
-            raise RequestRefused(403, "the request comes from a page of another site", "origin")
+            raise RequestRefusedError(
+                403, "the request comes from a page of another site", "origin"
+            )
         found = permission(self._tokens, headers)
         check_permission(scope, found)
         return found
 
-    def _log(self, scope: Scope, client: str, refused: RequestRefused) -> None:
+    def _log(self, scope: Scope, client: str, refused: RequestRefusedError) -> None:
         """Log a refused request; at most one each second, with the number of those before it."""
         self.refused += 1
         now = time.monotonic()
@@ -147,7 +151,7 @@ class AccessControl:
         while len(self._buckets) > _CLIENTS_KEPT:
             self._buckets.popitem(last=False)
         if not allowed:
-            raise RequestRefused(
+            raise RequestRefusedError(
                 429, f"more than {config.requests_per_s:g} requests per second", "rate"
             )
 
@@ -159,7 +163,7 @@ class _Body:
         self._receive, self._left, self._limit = receive, limit, limit
         length = headers.get("content-length", "0")
         if not length.isdigit() or int(length) > limit:
-            raise RequestRefused(
+            raise RequestRefusedError(
                 413, f"the body of a request may have at most {limit} bytes", "size"
             )
 
@@ -198,7 +202,7 @@ def _headers(scope: Scope) -> MutableMapping[str, str]:
     for raw_name, raw_value in scope["headers"]:
         name = raw_name.decode("latin-1").lower()
         if name in found and name in _ONCE:
-            raise RequestRefused(400, f"header {name!r} occurs twice", "header")
+            raise RequestRefusedError(400, f"header {name!r} occurs twice", "header")
         value = raw_value.decode("latin-1")
         found[name] = f"{found[name]}, {value}" if name in found else value
     return found

@@ -22,24 +22,29 @@ from starlette.types import ASGIApp
 from hueflight.acquisition.plan import CaptureError
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.http.access import PERMISSION, AccessControl
+from hueflight.daemon.http.camera_relay import relay
 from hueflight.daemon.http.foxglove_app import by_port, foxglove_app
 from hueflight.daemon.http.live_socket import Hub
 from hueflight.daemon.http.metrics import make_registry, render
 from hueflight.daemon.http.openapi import describe
-from hueflight.daemon.http.operations import OPERATIONS, Named, Operation
+from hueflight.daemon.http.operation import Named, Operation
+from hueflight.daemon.http.operations import OPERATIONS
 from hueflight.daemon.http.page_routes import page_routes
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.http.roles import SESSION_PATH
+from hueflight.daemon.materials import MaterialError
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.picture_settings import PictureSettingsError
 from hueflight.daemon.pixel import PixelError
+from hueflight.daemon.playable import PlaybackError
 from hueflight.daemon.recordings_folder import RecordingMissingError, RecordingNameError
 from hueflight.daemon.server_config import Tokens
 from hueflight.daemon.service import Service
 from hueflight.daemon.systemd import notify, watchdog_interval_s
 from hueflight.devices.errors import DeviceError
+from hueflight.devices.pulse_schedule import ScheduleError
 from hueflight.devices.rig import Connect
-from hueflight.errors import HueflightError
+from hueflight.errors import HueflightError, InstrumentError
 from hueflight.live.protocol import Coding
 from hueflight.model.instrument import Instrument
 
@@ -121,6 +126,14 @@ def make_app(
     async def live(socket: Any) -> None:
         await state["hub"].serve(socket)
 
+    async def live_of_another(socket: Any) -> None:
+        others = state["service"].cameras.others
+        number = socket.path_params["number"]
+        if not 1 <= number <= len(others):
+            await socket.close(1008, f"there is no camera {number}")
+            return
+        await relay(socket, others[number - 1])
+
     async def metrics(_: Request) -> Response:
         text = await run_in_threadpool(render, state["registry"])
         return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
@@ -160,6 +173,7 @@ def make_app(
         Route("/metrics", metrics, methods=["GET"]),
         Route("/health", health, methods=["GET"]),
         WebSocketRoute("/api/live", live),
+        WebSocketRoute("/api/cameras/{number:int}/live", live_of_another),
         *page_routes(),
     ]
     app = Starlette(
@@ -199,6 +213,8 @@ def _route(operation: Operation, state: dict[str, Any]) -> Route:
             result = await run_in_threadpool(operation.action, state["service"], argument)
         except HueflightError as error:
             return _json({"error": str(error)}, _status_of(error))
+        if isinstance(result, bytes):
+            return Response(result, media_type="application/octet-stream")
         return _json(result)
 
     return Route(operation.path, handler, methods=[operation.method], name=operation.name)
@@ -229,13 +245,17 @@ def _read_query(request: Request, kind: type[Any]) -> Any:
         raise HTTPException(422, str(error)) from None
 
 
+#: what the boards or the daemon can't do, or the file does not hold
+_NOT_POSSIBLE = (DeviceError, InstrumentError, ScheduleError, PictureSettingsError, PlaybackError)
+
+
 def _status_of(error: HueflightError) -> int:
-    if isinstance(error, PixelError | RecordingMissingError):
+    if isinstance(error, PixelError | MaterialError | RecordingMissingError):
         return 404
     if isinstance(error, RecordingNameError | CaptureError):
         return 409
-    if isinstance(error, DeviceError | PictureSettingsError):
-        return 422  # what the camera or the daemon can't do
+    if isinstance(error, _NOT_POSSIBLE):
+        return 422
     return 500
 
 

@@ -21,9 +21,15 @@ from typing import Annotated, Any
 
 import msgspec
 import structlog
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket
 
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
+from hueflight.daemon.http.client_socket import (
+    SEND_TIMEOUT_S,
+    STATUS_S,
+    received_texts,
+    serve_until_one_ends,
+)
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.service import Service
 from hueflight.daemon.status_log import StatusLine, status_lines
@@ -33,11 +39,8 @@ from hueflight.export.foxglove_messages import NS, FoxgloveMessages, Topic
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 LOG_TOPIC = "/log"
 MESSAGE_DATA = 1  #: first byte of a binary message of a channel
-STATUS_S = 0.5
-SEND_TIMEOUT_S = 15.0  #: a client that receives nothing for so long is disconnected
 QUEUED_PICTURES = 8  #: for each client; older ones are dropped
 QUEUED_LINES = 256
-MESSAGES_PER_S = 200  #: from a client; one that sends more is disconnected
 log = structlog.get_logger("hueflight.daemon")
 
 
@@ -282,18 +285,7 @@ class FoxgloveClient:
 
     async def run(self) -> None:
         """Serve the client until it leaves or is disconnected."""
-        tasks = [asyncio.create_task(work()) for work in (self._send, self._listen)]
-        try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-        if self._socket.client_state == WebSocketState.CONNECTED:
-            try:
-                await asyncio.wait_for(self._socket.close(1008), 1.0)
-            except (RuntimeError, TimeoutError, WebSocketDisconnect):
-                return  # it has been closed meanwhile
+        await serve_until_one_ends(self._socket, self._send(), self._listen())
 
     async def _send(self) -> None:
         while True:
@@ -316,20 +308,9 @@ class FoxgloveClient:
             await self._socket.send_bytes(head + content)
 
     async def _listen(self) -> None:
-        since, count = time.monotonic(), 0
-        while True:
-            message = await self._socket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            if time.monotonic() - since > 1.0:
-                since, count = time.monotonic(), 0
-            count += 1
-            if count > MESSAGES_PER_S:
-                return
+        async for text in received_texts(self._socket):
             try:
-                request = msgspec.json.decode(
-                    message.get("text") or "", type=_Subscribe | _Unsubscribe
-                )
+                request = msgspec.json.decode(text, type=_Subscribe | _Unsubscribe)
             except (msgspec.DecodeError, UnicodeError) as error:
                 self._warn(f"not understood: {error}")
                 continue

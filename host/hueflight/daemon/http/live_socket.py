@@ -19,17 +19,20 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket
 
+from hueflight.daemon.http.client_socket import (
+    SEND_TIMEOUT_S,
+    STATUS_S,
+    received_texts,
+    serve_until_one_ends,
+)
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.service import Service
 from hueflight.live.protocol import PROTOCOL, Coding, Delivery
 
-STATUS_S = 0.5
-SEND_TIMEOUT_S = 15.0  #: a viewer that receives nothing for so long is disconnected
 SHOWN_TIMEOUT_S = 5.0  #: a viewer that never says "shown" gets a picture this often
-MESSAGES_PER_S = 200  #: from a viewer; one that sends more is disconnected
 QUEUED_PICTURES = 32  #: for a viewer that wants all; older ones are dropped
 ASKED_AT_MOST = 1000  #: pictures that a viewer may have asked for and not received
 _REMEMBERED = 64
@@ -102,6 +105,7 @@ class Hub:
         self._viewers: set[Viewer] = set()
         self._messages: dict[Coding, tuple[int, bytes]] = {}
         self._sent: OrderedDict[int, Picture] = OrderedDict()
+        self._status, self._status_until_s = "", 0.0
 
     @property
     def codings(self) -> tuple[Coding, ...]:
@@ -164,8 +168,12 @@ class Hub:
             viewer.offer(number, message)
 
     def status(self) -> str:
-        """Return the status as JSON text."""
-        return msgspec.json.encode({"status": self._service.status()}).decode()
+        """Return the status as JSON text, the same for all viewers that are told at one time."""
+        now = time.monotonic()
+        if now >= self._status_until_s:
+            self._status = msgspec.json.encode({"status": self._service.status()}).decode()
+            self._status_until_s = now + STATUS_S / 2
+        return self._status
 
 
 class Viewer:
@@ -204,18 +212,7 @@ class Viewer:
         works = [self._send_pictures(), self._listen(hub)]
         if self.query.pictures is None:
             works.append(self._send_status(hub))
-        tasks = [asyncio.create_task(work) for work in works]
-        try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-        if self._socket.client_state == WebSocketState.CONNECTED:
-            try:
-                await asyncio.wait_for(self._socket.close(1008), 1.0)
-            except (RuntimeError, TimeoutError, WebSocketDisconnect):
-                return  # it has been closed meanwhile
+        await serve_until_one_ends(self._socket, *works)
 
     async def _send_pictures(self) -> None:
         while True:
@@ -245,17 +242,8 @@ class Viewer:
             await asyncio.sleep(STATUS_S)
 
     async def _listen(self, hub: Hub) -> None:
-        since, count = time.monotonic(), 0
-        while True:
-            message = await self._socket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            if time.monotonic() - since > 1.0:
-                since, count = time.monotonic(), 0
-            count += 1
-            if count > MESSAGES_PER_S:
-                return
-            if not self._take(message.get("text") or "", hub):
+        async for text in received_texts(self._socket):
+            if not self._take(text, hub):
                 return
 
     def _take(self, text: str, hub: Hub) -> bool:

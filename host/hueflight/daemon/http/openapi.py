@@ -8,9 +8,13 @@ from typing import Any, get_args
 
 import msgspec
 
-from hueflight.daemon.http.operations import NAME_PATTERN, OPERATIONS, Operation
+from hueflight.daemon.http.answers import HealthAnswer
+from hueflight.daemon.http.bodies import NAME_PATTERN
+from hueflight.daemon.http.operation import Operation
+from hueflight.daemon.http.operations import OPERATIONS
 from hueflight.daemon.http.refusal import RefusalCode
 from hueflight.daemon.http.roles import SESSION_PATH, TokenState
+from hueflight.daemon.results_folder import FILE_NAME
 from hueflight.daemon.server_config import Role
 
 _ERROR = {
@@ -49,9 +53,10 @@ def describe(*, name: str, token: bool) -> dict[str, Any]:
     dict
         The description, ready for JSON.
     """
-    bodies = [op.body for op in OPERATIONS if op.body is not None]
+    types = {kind for op in OPERATIONS for kind in (op.body, op.answer) if kind is not None}
     _, components = msgspec.json.schema_components(
-        bodies, ref_template="#/components/schemas/{name}"
+        sorted(types | {HealthAnswer}, key=lambda kind: kind.__name__),
+        ref_template="#/components/schemas/{name}",
     )
     paths: dict[str, dict[str, Any]] = {}
     for operation in OPERATIONS:
@@ -61,9 +66,10 @@ def describe(*, name: str, token: bool) -> dict[str, Any]:
             "operationId": "health",
             "summary": "Check whether the camera is connected and recordings are stored",
             "responses": {
-                "200": _answer("The daemon works.", {"type": "object"}),
+                "200": _answer("The daemon works.", _reference(HealthAnswer)),
                 "503": _answer(
-                    "The camera is disconnected, or a recording has failed.", {"type": "object"}
+                    "The camera is disconnected, or a recording has failed.",
+                    _reference(HealthAnswer),
                 ),
             }
             | _refusals(),
@@ -94,11 +100,12 @@ def _operation(operation: Operation) -> dict[str, Any]:
     described: dict[str, Any] = {
         "operationId": operation.name,
         "summary": operation.summary,
-        "responses": {"200": _answer(operation.result, {"type": "object"})} | _refusals(),
+        "responses": {"200": _result(operation)} | _refusals(),
+        "parameters": [_name_parameter(operation)] if operation.named else [],
     }
     if operation.query is not None:
         schema = msgspec.json.schema(operation.query)["$defs"][operation.query.__name__]
-        described["parameters"] = [
+        described["parameters"] += [
             {
                 "name": name,
                 "in": "query",
@@ -108,16 +115,13 @@ def _operation(operation: Operation) -> dict[str, Any]:
             }
             for name, field in schema["properties"].items()
         ]
-    if operation.named:
-        described["parameters"] = [_name_parameter()]
     if operation.body is not None:
-        reference = {"$ref": f"#/components/schemas/{operation.body.__name__}"}
         described["requestBody"] = {
             "required": True,
-            "content": {"application/json": {"schema": reference}},
+            "content": {"application/json": {"schema": _reference(operation.body)}},
         }
         described["responses"]["415"] = _error("The body of the request is not declared as JSON.")
-    if operation.body is not None or operation.query is not None:
+    if operation.body is not None or operation.query is not None or operation.plays:
         described["responses"]["422"] = _error("A value is missing, unknown or out of range.")
     if operation.conflicts:
         described["responses"]["409"] = _error(
@@ -154,7 +158,7 @@ def _download() -> dict[str, Any]:
         "operationId": "download",
         "summary": "Download a segment of a finished recording",
         "parameters": [
-            _name_parameter(),
+            _name_parameter(None),
             _path_parameter("segment", "Number of the segment, from 0.", number),
         ],
         "responses": {
@@ -168,7 +172,23 @@ def _download() -> dict[str, Any]:
     }
 
 
-def _name_parameter() -> dict[str, Any]:
+def _result(operation: Operation) -> dict[str, Any]:
+    if operation.answer is not None:
+        return _answer(operation.result, _reference(operation.answer))
+    content = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    return {"description": operation.result, "content": content}
+
+
+def _reference(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    return {"$ref": f"#/components/schemas/{kind.__name__}"}
+
+
+def _name_parameter(operation: Operation | None) -> dict[str, Any]:
+    if operation is not None and operation.plays:
+        schema = {"type": "string", "pattern": f"{NAME_PATTERN}|^{FILE_NAME.pattern}$"}
+        return _path_parameter(
+            "name", "Name of a recording, or of a result with its ending.", schema
+        )
     schema = {"type": "string", "pattern": NAME_PATTERN}
     return _path_parameter("name", "Name of the recording.", schema)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hueflight.color.live_color import LiveColor
+from hueflight.color.live_color import LiveColor, sampling_step
 from hueflight.daemon.picture import Picture
 from hueflight.live.image import message_of_image
 from hueflight.live.message import Plane, encode_message
@@ -16,6 +16,7 @@ from hueflight.live.protocol import Coding
 
 UNKNOWN = 65535  #: value of unknown pixels in 16-bit planes
 _TOP_PERCENT = 99.0  #: percentile of a band's reflectance at the top of its scale
+_MOST_FRAMES = np.iinfo(np.uint32).max
 _PLANE = ("row", "col")
 
 
@@ -63,40 +64,50 @@ def encode_picture(
 
 def _for_display(picture: Picture, live_color: LiveColor, header: dict[str, Any]) -> bytes:
     planes = [Plane("photons", picture.photons.astype("<u4"), _PLANE)]
-    frames = np.minimum(picture.frames_by_pixel, np.iinfo(np.uint32).max).astype("<u4")
-    planes.append(Plane("frames", frames, _PLANE))
-    image = picture.image
-    if image is not None:
+    frames = picture.frames_by_pixel
+    if picture.frames > _MOST_FRAMES:
+        frames = np.minimum(frames, _MOST_FRAMES)
+    planes.append(Plane("frames", frames.astype("<u4"), _PLANE))
+    if picture.image is not None:
+        image = picture.image.variables  # without labels, which cost more than the arrays
         for name in ("depth", "depth_std"):
             values, scale = _quantised(image[name].values)
             header[f"{name}_scale"] = scale
             planes.append(Plane(name, values, _PLANE))
-        cube = np.moveaxis(image["reflectance"].values, -1, 0)
-        bands, tops = _square_root_coded(cube)
+        bands, tops = _square_root_coded(np.moveaxis(image["reflectance"].values, -1, 0))
         header["tops"] = tops
         planes.append(Plane("bands", bands, ("band", *_PLANE)))
-        rgb = live_color.render(image)
+        rgb = live_color.render(picture.image)
         if rgb is not None:
             planes.append(Plane("colours", rgb, (*_PLANE, "rgb")))
-        planes.append(Plane("quality", image["quality"].values.astype(np.uint16), _PLANE))
+        quality = image["quality"].values.astype("<u2", copy=False)
+        planes.append(Plane("quality", quality, _PLANE))
     return encode_message({**header, "coding": "display"}, planes)
 
 
 def _quantised(values: NDArray[np.floating]) -> tuple[NDArray[np.uint16], float]:
     """16-bit numbers and their unit; unknown pixels are `UNKNOWN`."""
     known = np.isfinite(values)
-    top = float(values[known].max()) if known.any() else 1.0
+    top = float(values.max(where=known, initial=0.0)) if known.any() else 1.0
     scale = max(top, 1e-6) / (UNKNOWN - 1)
-    coded = np.full(values.shape, UNKNOWN, "<u2")
-    coded[known] = np.clip(np.round(values[known] / scale), 0, UNKNOWN - 1)
+    steps = np.where(known, values, 0.0)
+    steps /= scale
+    np.rint(steps, out=steps)
+    coded = np.clip(steps, 0, UNKNOWN - 1, out=steps).astype("<u2")
+    coded[~known] = UNKNOWN
     return coded, scale
 
 
 def _square_root_coded(cube: NDArray[np.floating]) -> tuple[NDArray[np.uint8], list[float]]:
     """Each band on a square-root scale, shape (band, row, col), and the top of each scale."""
-    filled = np.nan_to_num(cube, nan=0.0, posinf=0.0, neginf=0.0)
-    index = int(filled[0].size * _TOP_PERCENT / 100)
-    flat = filled.reshape(len(filled), -1)
-    tops = np.maximum(np.partition(flat, index, axis=1)[:, index], 1e-9)
-    shares = np.sqrt(np.clip(filled / tops[:, None, None], 0, 1))
-    return (shares * 255 + 0.5).astype(np.uint8), [float(top) for top in tops]
+    # `fmax` takes 0 for NaN and for what is below; infinity does not occur but must not pass
+    shares = np.fmax(cube, 0.0)
+    shares[shares == np.inf] = 0.0
+    some = shares.reshape(len(shares), -1)[:, :: sampling_step(shares[0].size)]
+    index = int(some.shape[1] * _TOP_PERCENT / 100)
+    tops = np.maximum(np.partition(some, index, axis=1)[:, index], 1e-9)
+    shares *= (255**2 / tops)[:, None, None]
+    np.sqrt(shares, out=shares)
+    shares += 0.5
+    coded = np.minimum(shares, 255.0, out=shares).astype(np.uint8)
+    return coded, tops.tolist()

@@ -14,7 +14,7 @@ RefusalCode = Literal[
 """Why a request is refused, for programs."""
 
 
-class RequestRefused(Exception):  # noqa: N818 - a decision, not an error
+class RequestRefusedError(Exception):
     """A request that is refused.
 
     Parameters
@@ -32,14 +32,16 @@ class RequestRefused(Exception):  # noqa: N818 - a decision, not an error
         self.status, self.code = status, code
 
 
-async def refuse(scope: Scope, receive: Receive, send: Send, refused: RequestRefused, /) -> None:
+async def refuse(
+    scope: Scope, receive: Receive, send: Send, refused: RequestRefusedError, /
+) -> None:
     """Answer a request that is refused; a web socket is closed.
 
     Parameters
     ----------
     scope, receive, send : ASGI arguments
         The request.
-    refused : RequestRefused
+    refused : RequestRefusedError
         Why it is refused.
     """
     if scope["type"] == "websocket":

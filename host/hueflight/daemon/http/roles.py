@@ -10,7 +10,7 @@ from typing import Literal
 
 from starlette.types import Scope
 
-from hueflight.daemon.http.refusal import RequestRefused
+from hueflight.daemon.http.refusal import RequestRefusedError
 from hueflight.daemon.server_config import Role, Tokens
 from hueflight.live.protocol import TOKEN_PROTOCOL
 
@@ -81,20 +81,22 @@ def check_permission(scope: Scope, found: Permission, /) -> None:
 
     Raises
     ------
-    RequestRefused
+    RequestRefusedError
         If the path needs a token and there is none that is right, or if a viewer would change
         something.
     """
     if not scope["path"].startswith(GUARDED) or scope["path"] == SESSION_PATH:
         return
     if found.token == "missing":
-        raise RequestRefused(
+        raise RequestRefusedError(
             401,
             "a token is required: send the header 'Authorization: Bearer TOKEN'",
             "token missing",
         )
     if found.token == "wrong":
-        raise RequestRefused(401, "the token is not one of this daemon", "token wrong")
+        raise RequestRefusedError(401, "the token is not one of this daemon", "token wrong")
     safe = scope["type"] == "websocket" or scope["method"] in _SAFE_METHODS
     if found.role == "viewer" and not safe:
-        raise RequestRefused(403, "viewers may only look: send the token of an operator", "role")
+        raise RequestRefusedError(
+            403, "viewers may only look: send the token of an operator", "role"
+        )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from starlette.types import Scope
 
-from hueflight.daemon.http.refusal import RequestRefused
+from hueflight.daemon.http.refusal import RequestRefusedError
 from hueflight.daemon.server_config import LOOPBACK, ServerConfig
 
 _FORWARDED = ("x-forwarded-for", "x-forwarded-host", "x-forwarded-proto")
@@ -91,7 +91,7 @@ class Senders:
 
         Raises
         ------
-        RequestRefused
+        RequestRefusedError
             If a trusted proxy states client, host or scheme in a form that can't be read, or in
             two ways.
         """
@@ -207,5 +207,7 @@ def _address(text: str) -> str:
         raise _unclear(f"{text[:80]!r} is no address of a client") from None
 
 
-def _unclear(reason: str) -> RequestRefused:
-    return RequestRefused(400, f"the proxy does not say clearly who asks: {reason}", "forwarded")
+def _unclear(reason: str) -> RequestRefusedError:
+    return RequestRefusedError(
+        400, f"the proxy does not say clearly who asks: {reason}", "forwarded"
+    )

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import socket
+import sys
 from typing import Any
 
 import h11
@@ -18,6 +19,7 @@ from hueflight.daemon.http.app import make_app
 from hueflight.daemon.http.connections import Connections, address_of, refusal
 from hueflight.daemon.http.sender import Senders
 from hueflight.daemon.http.tls import Certificate, tls_gates
+from hueflight.daemon.materials import PictureMaterials
 from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.devices.rig import Connect
 from hueflight.files.optional import import_optional
@@ -30,6 +32,9 @@ IDLE_S = 5  #: idle connections are closed after this time
 HEADER_BYTES = 1 << 14
 VIEWER_MESSAGE_BYTES = 1 << 12
 END_S = 5
+#: after which a thread that waits for the interpreter gets it. Python's own 5 ms, waited for after
+#: each array operation, were most of the time of a picture beside a camera at full rate
+SWITCH_INTERVAL_S = 0.5e-3
 BACKLOG = 64  #: connections that may wait for the server; they are taken in one go
 OWN_FILES = 192  #: open files of camera, recordings, calibrations and logs
 
@@ -214,9 +219,10 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
     ConfigError
         If the address or the data folder can't be used, or a token is required and missing.
     MissingPackageError
-        If Foxglove is to be served and the package foxglove-sdk is not installed.
+        If Foxglove is to be served, or shown recordings, and foxglove-sdk is not installed.
     """
     tokens = config.server.tokens()
+    PictureMaterials(config.materials, instrument)  # refused before anything runs
     raise_file_limit(config.server)
     try:
         RecordingsFolder(config.folder / "recordings")
@@ -225,8 +231,9 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
             f"data = {config.data!r}: can't use the folder: {error.strerror or error}"
         ) from None
     sockets = [open_socket(config.server)]
-    if config.foxglove:
+    if config.foxglove or config.recording.foxglove_hz:
         import_optional("foxglove", extra="foxglove")
+    if config.foxglove:
         sockets.append(open_socket(config.server, option="foxglove_port"))
     host, port, *_ = sockets[0].getsockname()
     foxglove_port = sockets[1].getsockname()[1] if config.foxglove else None
@@ -238,6 +245,7 @@ def serve(config: DaemonConfig, connect: Connect, instrument: Instrument, /) -> 
     # a full garbage collection of all modules would stop everything else for 0.1 s
     gc.collect()
     gc.freeze()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     url = f"{config.server.scheme}://{shown}:{port}/"
     log.info("listening", url=url, name=config.name, token=tokens.operator is not None)
     if config.foxglove:

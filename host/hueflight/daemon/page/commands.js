@@ -2,7 +2,7 @@
 // Commands of the user: start, stop, record, calibrate, freeze, measure, light or dark.
 
 import { openControls } from "./controls.js";
-import { $ } from "./dom.js";
+import { $, setText } from "./dom.js";
 import { openHelp } from "./help.js";
 import { ask } from "./link.js";
 import { chooseTool } from "./measure.js";
@@ -10,9 +10,15 @@ import { showMessage } from "./messages.js";
 import { showPixel } from "./pixel.js";
 import { openRecordDialog } from "./record.js";
 import { openRecordings } from "./recordings.js";
-import { redraw, state } from "./state.js";
+import { playOrPause } from "./player.js";
+import { switchTheme } from "./theme.js";
+import { openSimulation } from "./simulation.js";
+import { mayChange, redraw, state } from "./state.js";
 
-const THEME_KEY = "hueflight-theme";
+/** Elements that change something at the daemon; disabled for those who may only look. */
+const CHANGING = [
+  "run", "record", "calibrate", "integration", "method", "controls-set", "controls-default",
+];
 
 async function send(path, body) {
   try {
@@ -28,6 +34,7 @@ const isCalibrating = () => Boolean(state.status?.calibration.progress);
 /** Commands by the id of their button. */
 export const commands = {
   run: () => {
+    if (state.file) return playOrPause();
     const recording = state.status?.recording.name;
     if (recording && !confirm(`The recording ${recording} is in progress. End it and stop?`)) return null;
     return send(state.status?.state === "idle" ? "/api/start" : "/api/stop");
@@ -43,6 +50,7 @@ export const commands = {
   recordings: openRecordings,
   controls: openControls,
   help: openHelp,
+  simulated: openSimulation,
   freeze: () => {
     state.frozen = !state.frozen;
     $("freeze").setAttribute("aria-pressed", String(state.frozen));
@@ -57,9 +65,8 @@ export const commands = {
     }
   },
   theme: () => {
-    const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
-    chooseTheme(theme);
-    localStorage.setItem(THEME_KEY, theme);
+    switchTheme();
+    showPixel();
   },
 };
 
@@ -74,26 +81,25 @@ export async function beginCalibration() {
   if (answer) showMessage("Calibration started.");
 }
 
-/** Use the theme that the user chose earlier, or that of the system. */
-export function restoreTheme() {
-  const system = matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
-  chooseTheme(localStorage.getItem(THEME_KEY) ?? system);
-}
-
-function chooseTheme(theme) {
-  document.documentElement.dataset.theme = theme;
-  showPixel();
+/** Check the calibration in use against the scene, or apply the correction that a check offers. */
+export async function checkCalibration(correct) {
+  const answer = await (correct ? send("/api/check/correct") : send("/api/check", { kind: "scene" }));
+  if (answer) showMessage(correct ? "Drift of the LEDs corrected." : "Check of the calibration started.");
 }
 
 /** Label and enable the buttons as the status requires. */
 export function showButtons() {
   const { status, connected } = state;
   const running = status.state !== "idle";
-  $("run").lastElementChild.textContent = running ? "Stop" : "Start";
-  $("record").lastElementChild.textContent = status.recording.name ? "End recording" : "Record";
+  setText($("run").lastElementChild, running ? "Stop" : "Start");
+  setText($("record").lastElementChild, status.recording.name ? "End recording" : "Record");
   $("record").classList.toggle("on", Boolean(status.recording.name));
   const busy = isCalibrating();
-  $("calibrate").lastElementChild.textContent = busy ? "Cancel calibration" : "Calibrate";
-  for (const name of ["run", "record", "calibrate"]) $(name).disabled = !connected;
+  setText($("calibrate").lastElementChild, busy ? "Cancel calibration" : "Calibrate");
+  for (const name of CHANGING) $(name).disabled = !connected;
   for (const name of ["run", "record"]) $(name).disabled ||= busy;
+  $("run").disabled ||= Boolean(state.file); // the key plays the file
+  for (const name of CHANGING) $(name).disabled ||= !mayChange();
+  $("check").hidden = !status.calibration.calibrated;
+  $("correct").hidden = !status.check.correction;
 }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The dialog of the camera: frame rate, region, time gate and masked pixels, within its limits.
+// The dialog of camera and LEDs: rate, region, time gate, masked pixels and schedule, within limits.
 
 import { $ } from "./dom.js";
 import { ask } from "./link.js";
 import { showMessage } from "./messages.js";
+import { showSchedule, wantedSchedule } from "./schedule.js";
 import { state } from "./state.js";
 
 const SPANS = ["rows", "cols", "gate"];
@@ -27,14 +28,16 @@ export function startControls() {
   });
   $("controls-default").addEventListener("click", () => {
     $("controls-dialog").close("default");
-    send(Object.fromEntries(["rate_hz", ...SPANS, "masked"].map((name) => [name, null])));
+    send(Object.fromEntries(["rate_hz", ...SPANS, "masked", "schedule"].map((name) => [name, null])));
   });
 }
 
 /** Open the dialog with the present settings. */
 export async function openControls() {
   try {
-    show(await ask("GET", "/api/controls"));
+    const [found, { bands }] = await Promise.all(["/api/controls", "/api/instrument"].map((path) => ask("GET", path)));
+    show(found);
+    showSchedule(found, bands);
     $("controls-dialog").returnValue = "";
     $("controls-dialog").showModal();
   } catch (error) {
@@ -66,7 +69,11 @@ function showMasked() {
 
 /** What the inputs say; an empty one stands for the default. */
 function wanted() {
-  const body = { rate_hz: $("rate").value ? Number($("rate").value) : null, masked: masked.length ? masked : null };
+  const body = {
+    rate_hz: $("rate").value ? Number($("rate").value) : null,
+    masked: masked.length ? masked : null,
+    schedule: wantedSchedule(),
+  };
   for (const name of SPANS) {
     const [first, last] = [$(`${name}-first`), $(`${name}-last`)];
     const whole = !first.value && !last.value;

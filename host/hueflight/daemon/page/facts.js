@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The status of acquisition in words and numbers.
 
-import { $ } from "./dom.js";
+import { $, setShown, setText } from "./dom.js";
+import { state } from "./state.js";
 
 export function big(value, unit = "") {
   if (value === undefined || value === null) return "–";
@@ -14,12 +15,12 @@ export function big(value, unit = "") {
 
 function set(id, text, kind = "") {
   const element = $(id);
-  if (element.textContent !== text) element.textContent = text;
-  element.className = kind;
+  setText(element, text);
+  if (element.className !== kind) element.className = kind;
 }
 
 export function showFacts(status) {
-  const { rates, totals, lost, latency_s, recording, picture, calibration, link } = status;
+  const { rates, totals, lost, latency_s, recording, picture, calibration, check, link } = status;
   set("f-frames", `${big(rates.frames)}/s · ${big(totals.delivered)} in total`);
   set("f-photons", `${big(rates.photons)}/s`);
   set("f-bytes", `${big(rates.bytes, "B")}/s`);
@@ -34,6 +35,8 @@ export function showFacts(status) {
   const wait = left ? `, ${Math.ceil(left)} s left` : "";
   set("f-calibration", (calibration.message && calibration.message + share + wait) || (calibration.calibrated ? "in use" : "none: photons only"),
     calibration.step === "failed" ? "bad" : "");
+  set("f-check", check.message ? [check.message, ...check.findings].join("; ") : "–",
+    check.findings.length || check.step === "failed" ? "bad" : "");
   const waiting = recording.queue_bytes || link.queue_bytes;
   const disk = recording.name
     ? `${recording.name}: ${big(recording.frames)} frames, ${big(recording.bytes, "B")}`
@@ -46,7 +49,8 @@ export function showFacts(status) {
 }
 
 function showGaps(gaps) {
-  $("gap-count").textContent = gaps.length ? String(gaps.length) : "none";
+  setText($("gap-count"), gaps.length ? String(gaps.length) : "none");
+  if (!gaps.length && !$("gap-list").children.length) return;
   $("gap-list").replaceChildren(
     ...gaps.map((gap) => {
       const item = document.createElement("li");
@@ -57,21 +61,28 @@ function showGaps(gaps) {
   );
 }
 
+/** The state of a daemon in words, and its kind: "away", "live" or "idle". */
+export function stateOf(status, connected) {
+  if (!connected || !status) return { text: connected ? "connecting" : "daemon not reachable", kind: "away" };
+  const text = status.state === "running" ? (status.kind === "live" ? "live" : `capture: ${status.kind}`)
+    : status.state === "idle" ? "stopped" : status.state === "failed" ? "failed" : "no camera";
+  const kind = ["disconnected", "failed"].includes(status.state) ? "away" : status.state === "running" ? "live" : "idle";
+  return { text, kind };
+}
+
 export function showState(status, connected) {
   const pill = $("state");
-  const text = !connected ? "daemon not reachable"
-    : status.state === "running" ? (status.kind === "live" ? "live" : `capture: ${status.kind}`)
-    : status.state === "idle" ? "stopped" : status.state === "failed" ? "failed" : "no camera";
-  const kind = !connected || ["disconnected", "failed"].includes(status.state) ? "away" : status.state === "running" ? "live" : "idle";
-  if (pill.textContent !== text) pill.textContent = text;
+  const found = stateOf(status, connected);
+  const { kind } = found;
+  const text = state.file && found.text === "live" ? "acquiring" : found.text;
+  setText(pill, text);
   pill.className = `pill ${kind}`;
-  $("simulated").hidden = !status.simulated;
-  $("watermark").hidden = !status.simulated;
-  const recording = $("recording");
-  recording.hidden = !status.recording.name;
-  if (status.recording.name) recording.textContent = `recording ${status.recording.name}`;
+  setShown($("simulated"), status.simulated);
+  setShown($("watermark"), (state.file ?? status).simulated);
+  setShown($("recording"), status.recording.name);
+  if (status.recording.name) setText($("recording"), `recording ${status.recording.name}`);
   const problem = $("problem");
   const words = connected ? status.problem : "";
-  problem.hidden = !words;
-  if (problem.textContent !== words) problem.textContent = words;
+  setShown(problem, words);
+  setText(problem, words);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // How live pictures are made: over what time photons add up, and by which method.
 
-import { $ } from "./dom.js";
+import { $, setText, setValue } from "./dom.js";
 import { ask } from "./link.js";
 import { showMessage } from "./messages.js";
 import { state } from "./state.js";
@@ -31,8 +31,8 @@ export function showGathering({ picture }) {
   choose($("method"), method, method);
   const rate = state.instrument?.frame_rate_hz;
   const words = (n) => (rate ? `${(n / rate).toFixed(n / rate < 10 ? 1 : 0)} s` : `${n} frames`);
-  $("gathered").textContent = frames.most
-    ? frames.least === frames.most ? words(frames.most) : `${words(frames.least)} … ${words(frames.most)}` : "";
+  const [least, most] = [frames.least, frames.most].map(words);
+  setText($("gathered"), !frames.most ? "" : least === most ? most : `${least} … ${most}`);
 }
 
 function offer(select, value, text) {
@@ -40,7 +40,6 @@ function offer(select, value, text) {
 }
 
 function choose(select, value, text) {
-  if (document.activeElement === select) return;
-  offer(select, value, text);
-  select.value = value;
+  if (document.activeElement !== select) offer(select, value, text);
+  setValue(select, value);
 }

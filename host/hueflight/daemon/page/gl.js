@@ -31,13 +31,11 @@ export function program(gl, vertex, fragment) {
   return { made, uniforms };
 }
 
-/** The planes of a picture as textures, filled again for each. */
+/** The planes of a picture that points are made of, as textures, filled again for each. */
 export class Textures {
   constructor(gl) {
     this.gl = gl;
-    this.names = [
-      "depth", "depth_std", "photons", "frames", "quality", "bands", "colours", "map",
-    ];
+    this.names = ["depth", "depth_std", "quality", "bands", "colours"];
     this.textures = Object.fromEntries(this.names.map((name) => [name, gl.createTexture()]));
   }
 
@@ -55,11 +53,6 @@ export class Textures {
     return target;
   }
 
-  map(colours) {
-    const gl = this.gl;
-    gl.texImage2D(this.#bind("map"), 0, gl.RGBA8, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, colours);
-  }
-
   fill({ rows, cols, planes }) {
     const gl = this.gl;
     for (const name of ["depth", "depth_std", "quality"]) {
@@ -67,13 +60,6 @@ export class Textures {
       const data = planes[name] ?? new Uint16Array(rows * cols).fill(name === "quality" ? 0 : UNKNOWN);
       gl.texImage2D(
         target, 0, gl.R16UI, cols, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_SHORT, data,
-      );
-    }
-    for (const name of ["photons", "frames"]) {
-      const target = this.#bind(name);
-      const data = planes[name] ?? new Uint32Array(rows * cols).fill(1);
-      gl.texImage2D(
-        target, 0, gl.R32UI, cols, rows, 0, gl.RED_INTEGER, gl.UNSIGNED_INT, data,
       );
     }
     const bands = planes.bands ?? new Uint8Array(rows * cols);
@@ -93,11 +79,15 @@ export class Textures {
   }
 }
 
+/** How many pixels a canvas covers on the screen, [width, height]. */
+export function screenSize(canvas) {
+  const scale = window.devicePixelRatio || 1;
+  return [canvas.clientWidth, canvas.clientHeight].map((side) => Math.max(1, Math.round(side * scale)));
+}
+
 /** Give a canvas as many pixels as it covers on the screen; returns whether that changed. */
 export function fit(canvas) {
-  const scale = window.devicePixelRatio || 1;
-  const width = Math.max(1, Math.round(canvas.clientWidth * scale));
-  const height = Math.max(1, Math.round(canvas.clientHeight * scale));
+  const [width, height] = screenSize(canvas);
   if (canvas.width === width && canvas.height === height) return false;
   canvas.width = width;
   canvas.height = height;

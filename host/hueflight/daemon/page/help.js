@@ -4,13 +4,15 @@
 import { $ } from "./dom.js";
 
 const KEYS = [
-  ["1 … 5", "depth, colour, bands, points, photons"],
+  ["1 … 6", "depth, colour, bands, points, photons; materials, if the daemon looks for any"],
   ["arrows", "choose a pixel (with Shift in steps of eight); in points: turn"],
   ["+ − 0", "in points: nearer, farther, reset"],
   ["Space", "start or stop; asks first while a recording is in progress"],
+  ["Space , .", "while a file is played: play or pause, a picture back, a picture on"],
+  ["Home End Esc", "while a file is played: its beginning, its end, live pictures again"],
   ["R", "begin a recording, or end it"],
   ["L", "list of recordings"],
-  ["O", "set the camera: rate, region, time gate, masked pixels"],
+  ["O", "set camera and LEDs: rate, region, time gate, masked pixels, schedule"],
   ["C", "calibrate"],
   ["F", "freeze the picture"],
   ["G", "measure a region: drag over the picture"],

@@ -1,31 +1,38 @@
 // SPDX-License-Identifier: Apache-2.0
 // Input by keyboard, mouse and touch.
 
-import { beginCalibration, commands } from "./commands.js";
+import { beginCalibration, checkCalibration, commands } from "./commands.js";
 import { $, tabs } from "./dom.js";
 import { choosePixel } from "./pixel.js";
 import { addEnd, spanRegion } from "./measure.js";
+import { showMessage } from "./messages.js";
 import { pixelAt } from "./places.js";
+import { closeFile, seekShare, step } from "./player.js";
 import { save } from "./save.js";
-import { redraw, state } from "./state.js";
+import { mayChange, redraw, state } from "./state.js";
 import { chooseView, resetCloud, turnCloud, zoomCloud } from "./views.js";
 
-const VIEW_KEYS = { 1: "depth", 2: "colour", 3: "bands", 4: "points", 5: "photons" };
+const VIEW_KEYS = { 1: "depth", 2: "colour", 3: "bands", 4: "points", 5: "photons", 6: "materials" };
 const COMMAND_KEYS = {
   r: "record", l: "recordings", c: "calibrate", t: "theme", f: "freeze", g: "region-tool",
   d: "distance-tool", o: "controls", "?": "help",
+};
+const FILE_KEYS = {
+  ",": () => step(-1), ".": () => step(1), Home: () => seekShare(0), End: () => seekShare(1), Escape: closeFile,
 };
 const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
 
 /** Listen to all input. */
 export function listenToInput() {
-  for (const tab of tabs()) {
+  for (const tab of document.querySelectorAll("[role=tab]")) {
     tab.addEventListener("click", () => chooseView(tab.dataset.view));
     tab.addEventListener("keydown", onTabKey);
   }
   for (const name of Object.keys(commands)) $(name).addEventListener("click", commands[name]);
   $("calibrate-dialog").addEventListener("close", () => {
-    if ($("calibrate-dialog").returnValue === "go") beginCalibration();
+    const answer = $("calibrate-dialog").returnValue;
+    if (answer === "go") beginCalibration();
+    if (answer === "check" || answer === "correct") checkCalibration(answer === "correct");
   });
   $("calibrate-cancel").addEventListener("click", () => $("calibrate-dialog").close("cancel"));
   $("three").addEventListener("change", redraw);
@@ -44,14 +51,27 @@ function onKey(event) {
   if (typing) return;
   const onButton = event.target.matches("button, summary, a, [type=checkbox]");
   const { key } = event;
-  if (VIEW_KEYS[key]) chooseView(VIEW_KEYS[key]);
-  else if (key === " " && !onButton) commands.run();
-  else if (COMMAND_KEYS[key]) commands[COMMAND_KEYS[key]]();
+  if (VIEW_KEYS[key]) chooseTab(VIEW_KEYS[key]);
+  else if (key === " " && !onButton) command("run");
+  else if (state.file && FILE_KEYS[key]) FILE_KEYS[key]();
+  else if (COMMAND_KEYS[key]) command(COMMAND_KEYS[key]);
   else if (key === "s") save("png");
   else if (ARROWS[key] && !onButton && state.instrument) onArrow(ARROWS[key], event.shiftKey ? 8 : 1);
   else if ("+-0".includes(key) && state.view === "points") onZoomKey(key);
   else return;
   event.preventDefault();
+}
+
+/** Choose a view, if there is a tab for it. */
+function chooseTab(view) {
+  if (tabs().some((tab) => tab.dataset.view === view)) chooseView(view);
+}
+
+/** Do what a key stands for, unless its button says that it can't be done now. */
+function command(name) {
+  const plays = name === "run" && state.file;
+  if (!$(name).disabled || plays) commands[name]();
+  else if (!mayChange()) showMessage("With this token you may look and change nothing.");
 }
 
 function onArrow([down, right], step) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The connection to the daemon: requests, and a web socket that reconnects by itself.
 
+import { decodePicture } from "./message.js";
 import { askForToken, currentToken, tokenHeaders, tokenState } from "./token.js";
 
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
@@ -14,27 +15,37 @@ export async function ask(method, path, body) {
     headers,
     body: body === undefined ? undefined : JSON.stringify(body),
   });
-  const answer = await response.json().catch(() => ({ error: `status ${response.status}` }));
-  if (!response.ok) throw new Error(answer.error);
-  return answer;
+  return (await accepted(response)).json();
+}
+
+/** Ask for the message of a picture; throws an Error with the daemon's message. */
+export async function askPicture(path) {
+  const response = await accepted(await fetch(path, { headers: tokenHeaders() }));
+  return decodePicture(await response.arrayBuffer());
 }
 
 /** Where the browser can save a file of the API from: its address, or a blob if it takes a token. */
 export async function fileAddress(path) {
   if (!currentToken()) return path;
-  const response = await fetch(path, { headers: tokenHeaders() });
-  if (!response.ok) throw new Error(`status ${response.status} for ${path}`);
+  const response = await accepted(await fetch(path, { headers: tokenHeaders() }));
   return URL.createObjectURL(await response.blob());
 }
 
-/** Open the live socket and keep it open. */
-export function live({ onPicture, onStatus, onOpen, onClose }) {
+/** The response, unless the daemon refuses: then an Error with its message is thrown. */
+async function accepted(response) {
+  if (response.ok) return response;
+  const answer = await response.json().catch(() => ({ error: `status ${response.status}` }));
+  throw new Error(answer.error);
+}
+
+/** Open a live socket, by default that of the daemon's own camera, and keep it open. */
+export function live({ onPicture, onStatus, onOpen, onClose, path = "/api/live" }) {
   let failures = 0;
   const open = () => {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
     const secret = currentToken();
     const protocols = ["hueflight.v1", ...(secret ? [`hueflight.token.${secret}`] : [])];
-    const socket = new WebSocket(`${scheme}://${location.host}/api/live`, protocols);
+    const socket = new WebSocket(`${scheme}://${location.host}${path}`, protocols);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       failures = 0;

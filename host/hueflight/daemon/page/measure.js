@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Measurements on the picture: a region's mean depth and spectrum, and the distance of two points.
 
-import { $ } from "./dom.js";
+import { $, setShown, setText } from "./dom.js";
 import { redraw, state } from "./state.js";
 import { brightnessOf, depthOf, depthStdOf, placeOf, reflectanceOf } from "./values.js";
 
@@ -97,36 +97,35 @@ export function distanceOf(picture, instrument, [from, to]) {
 export function showMeasurements() {
   const { picture, instrument, region, ends } = state;
   const found = instrument && measureRegion(picture, region, instrument.bands.length);
-  $("measured").hidden = !found;
+  setShown($("measured"), found);
   if (found) showRegion(found);
   const text = $("distance-text");
-  text.hidden = state.tool !== "distance" && ends.length < 2;
-  text.textContent = "Click two points to measure their distance.";
-  if (ends.length === 2 && picture) {
-    const { distance, std, gap } = distanceOf(picture, instrument, ends);
-    text.textContent = Number.isFinite(distance)
-      ? `Distance ${distance.toFixed(4)} m ± ${(1e3 * std).toFixed(1)} mm (right ${gap[0].toFixed(3)}, down ${gap[1].toFixed(3)}, away ${gap[2].toFixed(3)} m)`
-      : "Distance unknown: an end has no depth.";
-  }
-  return found;
+  setShown(text, state.tool === "distance" || ends.length === 2);
+  setText(text, ends.length === 2 && picture ? distanceText(distanceOf(picture, instrument, ends)) : "Click two points to measure their distance.");
+}
+
+function distanceText({ distance, std, gap }) {
+  if (!Number.isFinite(distance)) return "Distance unknown: an end has no depth.";
+  const [right, down, away] = gap.map((v) => v.toFixed(3));
+  return `Distance ${distance.toFixed(4)} m ± ${(1e3 * std).toFixed(1)} mm (right ${right}, down ${down}, away ${away} m)`;
 }
 
 function showRegion({ depth, photons, spectrum, pixels }) {
   const [row, col, rows, cols] = state.region;
-  $("region-place").textContent = `${rows} × ${cols} pixels at row ${row}, column ${col}`;
-  $("region-depth").textContent = depth.n
+  setText($("region-place"), `${rows} × ${cols} pixels at row ${row}, column ${col}`);
+  setText($("region-depth"), depth.n
     ? `depth ${depth.mean.toFixed(4)} m ± ${(1e3 * depth.error).toFixed(2)} mm, scatter ${(1e3 * depth.scatter).toFixed(1)} mm, ${depth.n} of ${pixels} pixels`
-    : `no depth; ${photons.mean.toFixed(4)} photons per frame`;
-  $("region-spectrum").textContent = spectrum
+    : `no depth; ${photons.mean.toFixed(4)} photons per frame`);
+  setText($("region-spectrum"), spectrum
     .map(({ mean, error }, band) => `${state.instrument.bands[band].wavelength_nm} nm ${mean.toFixed(3)} ± ${error.toFixed(3)}`)
-    .join(" · ");
+    .join(" · "));
 }
 
 /** Draw region and distance over the picture. */
 export function placeMeasurements() {
   const { region, ends, instrument, view } = state;
   const flat = instrument && !["points", "bands"].includes(view);
-  $("region").hidden = !flat || !region;
+  setShown($("region"), flat && region);
   const percent = (v, all) => `${(100 * v) / all}%`;
   if (!$("region").hidden) {
     const style = $("region").style;

@@ -3,9 +3,10 @@
 
 import { $ } from "./dom.js";
 import { state } from "./state.js";
-import { brightnessOf, depthOf } from "./values.js";
+import { brightnessOf, depthOf, materialOf } from "./values.js";
 
 const SAMPLES = 4096;
+const KEPT = 0.9; // of a range, from picture to picture
 const ranges = {};
 const samples = {}; // sorted known values of each view
 
@@ -13,38 +14,54 @@ const samples = {}; // sorted known values of each view
 export const SCALES = {
   depth: { unit: "m", digits: 3, value: depthOf },
   photons: { unit: "photons per frame", digits: 4, value: brightnessOf },
+  materials: { unit: "", digits: 3, value: (_, index) => materialOf(state.material, index) },
 };
 
 function sample(picture, value) {
   const count = picture.rows * picture.cols;
   const step = Math.max(1, Math.floor(count / SAMPLES));
-  const found = [];
+  const found = new Float64Array(Math.ceil(count / step));
+  let known = 0;
   for (let i = 0; i < count; i += step) {
     const v = value(picture, i);
-    if (Number.isFinite(v)) found.push(v);
+    if (Number.isFinite(v)) found[known++] = v;
   }
-  return found.sort((a, b) => a - b);
+  return found.subarray(0, known).sort();
 }
 
-function follow(name, sorted) {
-  if (sorted.length < 2) return;
+/** Range that holds most values of sorted ones. */
+function most(sorted) {
   const low = sorted[Math.floor(0.03 * sorted.length)];
-  const high = Math.max(sorted[Math.floor(0.97 * (sorted.length - 1))], low + 1e-4);
+  return [low, Math.max(sorted[Math.floor(0.97 * (sorted.length - 1))], low + 1e-4)];
+}
+
+/** Range that holds most values of a picture; `value` gives that of a pixel. */
+export function spanOf(picture, value) {
+  const sorted = sample(picture, value);
+  return sorted.length < 2 ? [0, 1] : most(sorted);
+}
+
+function follow(name, sorted, pictures) {
+  if (sorted.length < 2) return;
+  const [low, high] = most(sorted);
   const before = ranges[name];
   if (before && $("lock").checked) return;
   const jump = !before || Math.abs(high - before[1]) > 0.5 * (before[1] - before[0]);
-  const share = jump ? 1 : 0.1;
+  const share = jump ? 1 : 1 - KEPT ** pictures;
   const [a, b] = jump ? [low, high] : before;
   ranges[name] = [a + share * (low - a), b + share * (high - b)];
 }
 
-/** Adapt the ranges to a picture, unless they are locked. */
-export function updateRanges(picture) {
-  for (const [name, { value }] of Object.entries(SCALES)) {
-    if (name === "depth" && !picture.planes.depth) continue;
-    samples[name] = sample(picture, value);
-    follow(name, samples[name]);
-  }
+/** Adapt the ranges to the last one of some pictures, unless they are locked. */
+export function updateRanges(picture, pictures) {
+  if (picture.planes.depth) updateRange("depth", picture, pictures);
+  updateRange("photons", picture, pictures);
+}
+
+/** Adapt the range of one view to the last one of some pictures, unless it is locked. */
+export function updateRange(name, picture, pictures = 1) {
+  samples[name] = sample(picture, SCALES[name].value);
+  follow(name, samples[name], pictures);
 }
 
 /** Range of a view, in metres of depth or in photons per frame. */

@@ -3,6 +3,7 @@
 
 import { chosenFlags, depthLimit } from "./certainty.js";
 import { $ } from "./dom.js";
+import { screenSize } from "./gl.js";
 import { showMessage } from "./messages.js";
 import { seriesText } from "./series.js";
 import { state } from "./state.js";
@@ -17,10 +18,10 @@ export async function save(format) {
     showMessage("There is no picture yet.");
     return;
   }
-  const base = `${state.status?.name ?? "hueflight"}-${picture.number}`.replaceAll(" ", "-");
+  const base = `${state.file?.name ?? state.status?.name ?? "hueflight"}-${picture.number}`.replaceAll(" ", "-");
   if (format === "png") {
-    const canvas = state.view === "points" ? $("cloud") : $("plane");
-    const blob = await new Promise((done) => canvas.toBlob(done, "image/png"));
+    const canvas = $({ points: "cloud", materials: "materials" }[state.view] ?? "plane");
+    const blob = await new Promise((done) => onScreen(canvas).toBlob(done, "image/png"));
     offer(URL.createObjectURL(blob), `${base}-${state.view}.png`);
   } else if (format === "csv") {
     offerText(pixelsText(picture, instrument), "text/csv", `${base}.csv`);
@@ -31,6 +32,16 @@ export async function save(format) {
   } else {
     offerText(pointsText(picture, instrument), "model/ply", `${base}.ply`);
   }
+}
+
+/** A canvas with as many pixels as it covers on the screen. */
+function onScreen(canvas) {
+  const copy = document.createElement("canvas");
+  [copy.width, copy.height] = screenSize(canvas);
+  const c = copy.getContext("2d");
+  c.imageSmoothingEnabled = false;
+  c.drawImage(canvas, 0, 0, copy.width, copy.height);
+  return copy;
 }
 
 /** Have the browser save what is at an address. */
@@ -66,9 +77,10 @@ function pixelsText(picture, { bands, flags }) {
 /** Points as the view of points shows them: none that are less certain than asked for, or flagged. */
 function pointsText(picture, instrument) {
   const points = [];
+  const [limit, leftOut] = [depthLimit(), chosenFlags()];
   for (let i = 0; i < picture.rows * picture.cols; i++) {
     const std = depthStdOf(picture, i);
-    if (!Number.isFinite(std) || std > depthLimit() || picture.planes.quality[i] & chosenFlags()) continue;
+    if (!Number.isFinite(std) || std > limit || picture.planes.quality[i] & leftOut) continue;
     const [right, down, away] = placeOf(picture, i, instrument);
     const colour = picture.planes.colours?.subarray(3 * i, 3 * i + 3) ?? [128, 128, 128];
     points.push([right, -down, -away].map((v) => v.toFixed(5)).concat(...colour, std.toFixed(5)).join(" "));

@@ -2,7 +2,7 @@
 // The scale below the picture: its ends, the colours between them, and how often values occur.
 
 import { MAP_NAMES, colourMap } from "./colours.js";
-import { $ } from "./dom.js";
+import { $, setText, setValue } from "./dom.js";
 import { fit } from "./gl.js";
 import { SCALES, histogramOf, rangeOf, setRange } from "./ranges.js";
 import { redraw, state } from "./state.js";
@@ -33,10 +33,8 @@ export function showScale(view) {
   shownView = scale ? view : null;
   if (!scale) return;
   const ends = rangeOf(view);
-  [$("bar-low"), $("bar-high")].forEach((input, i) => {
-    if (document.activeElement !== input) input.value = ends[i].toFixed(scale.digits);
-  });
-  $("bar-unit").textContent = scale.unit;
+  [$("bar-low"), $("bar-high")].forEach((input, i) => setValue(input, ends[i].toFixed(scale.digits)));
+  setText($("bar-unit"), scale.unit);
   drawHistogram(view, ends);
 }
 
@@ -67,10 +65,11 @@ function drawHistogram(view, [low, high]) {
   if (!found) return;
   const top = Math.max(...found.counts);
   const style = getComputedStyle(document.documentElement);
+  const [inside, outside] = ["--accent", "--line"].map((name) => style.getPropertyValue(name));
   const wide = canvas.width / BINS;
   found.counts.forEach((count, i) => {
     const value = found.low + ((i + 0.5) / BINS) * (found.high - found.low);
-    c.fillStyle = style.getPropertyValue(value >= low && value <= high ? "--accent" : "--line");
+    c.fillStyle = value >= low && value <= high ? inside : outside;
     const height = canvas.height * Math.sqrt(count / top);
     c.fillRect(i * wide, canvas.height - height, Math.max(1, wide - 1), height);
   });

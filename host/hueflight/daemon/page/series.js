@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Values of the chosen pixel and of the region from picture to picture, as a plot and for a file.
 
-import { $ } from "./dom.js";
+import { $, setText } from "./dom.js";
 import { plotFrame } from "./plots.js";
 import { state } from "./state.js";
 import { brightnessOf, depthOf, depthStdOf } from "./values.js";
@@ -12,7 +12,7 @@ let subject = "";
 
 /** Forget everything when another pixel or region is chosen. */
 function checkSubject() {
-  const now = JSON.stringify([state.pixel, state.region]);
+  const now = JSON.stringify([state.pixel, state.region, state.file?.name]);
   if (now !== subject) entries = [];
   subject = now;
 }
@@ -20,10 +20,12 @@ function checkSubject() {
 /** Add a picture; `region` is what was measured in it. */
 export function addToSeries(picture, region) {
   checkSubject();
+  const unix_s = isCounted() ? picture.number : picture.received_unix_s; // times, or numbers in place of them
+  if (entries.length && unix_s < entries.at(-1).unix_s) entries = []; // a file that is played again
   const index = state.pixel && state.pixel[0] * picture.cols + state.pixel[1];
   entries.push({
     number: picture.number,
-    unix_s: picture.received_unix_s,
+    unix_s,
     depth: index === null ? NaN : depthOf(picture, index),
     depth_std: index === null ? NaN : depthStdOf(picture, index),
     photons: index === null ? NaN : brightnessOf(picture, index),
@@ -33,6 +35,11 @@ export function addToSeries(picture, region) {
     region_spectrum: region?.spectrum.map(({ mean }) => mean) ?? [],
   });
   if (entries.length > MOST) entries.shift();
+}
+
+/** Whether pictures are counted, as those of a file that does not say when they were taken. */
+function isCounted() {
+  return state.file !== null && state.file.kind !== "recording";
 }
 
 /** Draw the chosen value over time: the pixel as dots, the region as a line. */
@@ -48,7 +55,7 @@ export function drawSeries() {
   const margin = 0.08 * (high - low) || 0.01;
   const span = [Math.min(-1, t[0] ?? -1), 0];
   const { c, x, y, colour } = plotFrame(
-    canvas, span, [low - margin, high + margin], "s ago", name === "depth" ? "m" : "photons per frame",
+    canvas, span, [low - margin, high + margin], isCounted() ? "pictures" : "s ago", name === "depth" ? "m" : "photons per frame",
   );
   c.fillStyle = colour("--soft");
   pixel.forEach((v, i) => Number.isFinite(v) && c.fillRect(x(t[i]) - 1, y(v) - 1, 2.5, 2.5));
@@ -57,7 +64,7 @@ export function drawSeries() {
   c.beginPath();
   region.forEach((v, i) => Number.isFinite(v) && c.lineTo(x(t[i]), y(v)));
   c.stroke();
-  $("series-now").textContent = entries.length > 1 ? `${entries.length} pictures` : "";
+  setText($("series-now"), entries.length > 1 ? `${entries.length} pictures` : "");
 }
 
 /** The series as text with commas between values. */

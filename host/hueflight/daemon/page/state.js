@@ -7,6 +7,7 @@ export const state = {
   connected: false, // whether the live socket is open
   view: "depth", // the view that is chosen
   picture: null, // latest picture
+  material: null, // latest map of an abundance or index
   arrivedMs: null, // when it arrived
   pixel: null, // [row, col] of the chosen pixel
   pixelFacts: null, // latest numbers of that pixel
@@ -14,12 +15,25 @@ export const state = {
   tool: "", // what a drag or click on the picture measures: "region", "distance" or nothing
   region: null, // [row, col, rows, cols] of the region that is measured
   ends: [], // up to two pixels [row, col] whose distance is measured
-  drawn: false, // whether the screen shows this state
+  file: null, // facts of the recording or result that is played; null while pictures are live
+  role: null, // "operator", "viewer", or null while it is not known
 };
 
-/** Have the picture drawn again at the next animation frame. */
+let draws = () => {};
+
+/** Say how this state is drawn. */
+export function drawBy(draw) {
+  draws = draw;
+}
+
+/** Have the picture drawn again at the next animation frame, with all that stands around it. */
 export function redraw() {
-  state.drawn = false;
+  draws();
+}
+
+/** Whether whoever uses the page may change something. */
+export function mayChange() {
+  return state.role !== "viewer";
 }
 
 /** Whether the latest picture is calibrated, so that it has depth and reflectances. */

@@ -26,6 +26,11 @@ export function reflectanceOf(picture, band, index) {
   return picture.tops[band] * (bands[band * picture.rows * picture.cols + index] / 255) ** 2;
 }
 
+/** Abundance or index in a map of it. */
+export function materialOf(map, index) {
+  return map?.planes.value[index] ?? NaN;
+}
+
 /** Names of the flags that a pixel has, "skipped" left out: it has not changed since it was fitted. */
 export function flagsOf(picture, index, flags) {
   const value = picture.planes.quality?.[index] ?? 0;

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from typing import Protocol
 
@@ -12,12 +13,21 @@ from hueflight.devices.errors import (
     DeviceGoneError,
     DeviceNotFoundError,
     DevicePermissionError,
+    DeviceTimeoutError,
 )
-from hueflight_protocol import CobsDecoder, serial_frame
-from hueflight_protocol.control import MAX_COBS_BYTES
+from hueflight_protocol import (
+    CobsDecoder,
+    MessageError,
+    decode_response,
+    encode_request,
+    serial_frame,
+)
+from hueflight_protocol.control import MAX_COBS_BYTES, identify
 
 BAUD = 3_000_000
 """What the gateware is built for, unless it was built for something else."""
+RATES = (BAUD, 1_000_000, 2_000_000, 921_600, 500_000, 460_800, 230_400, 115_200, 57_600, 9_600)
+"""Line rates at which `find_baud` asks, in bits per second."""
 _MOST_BYTES = 4096
 
 
@@ -117,6 +127,8 @@ class SerialPort:
     ------
     DeviceNotFoundError, DevicePermissionError, DeviceBusyError
         If the port is not there, may not be opened, or is held by another program.
+    DeviceError
+        If the port can't have that rate.
     """
 
     def __init__(self, path: str, /, *, baud: int = BAUD) -> None:
@@ -127,10 +139,22 @@ class SerialPort:
                 "serial ports need the package pyserial: install hueflight[devices]"
             ) from None
         self.name = path
+        if baud < 1:
+            raise DeviceError(f"{path} can't be set to {baud} baud: must be 1 or more")
         try:
             self._port = serial.Serial(path, baud, timeout=0, write_timeout=1.0, exclusive=True)
         except OSError as error:  # SerialException is one
             raise _explain(path, error) from error
+        except ValueError as error:
+            raise DeviceError(f"{path} can't be set to {baud} baud: {error}") from error
+
+    def set_baud(self, baud: int, /) -> None:
+        """Change the line rate, in bits per second; what has come and was not read is lost."""
+        try:
+            self._port.baudrate = baud
+            self._port.reset_input_buffer()
+        except (OSError, ValueError) as error:  # adapters refuse rates that they can't make
+            raise DeviceError(f"{self.name} can't be set to {baud} baud: {error}") from error
 
     def write(self, data: bytes, /) -> None:
         """Send all bytes."""
@@ -167,6 +191,46 @@ class SerialPort:
         return DeviceGoneError(
             f"{self.name} went away ({error}): was the illuminator unplugged or switched off?"
         )
+
+
+def find_baud(port: SerialPort, /, *, timeout_s: float = 0.2) -> int:
+    """Find the line rate of a board by asking it what it is at one rate after another.
+
+    Parameters
+    ----------
+    port : SerialPort
+        The port; it is left at the rate that was found.
+    timeout_s : float
+        Longest time to wait for an answer at each rate, in seconds.
+
+    Returns
+    -------
+    int
+        The rate in bits per second.
+
+    Raises
+    ------
+    DeviceTimeoutError
+        If no board answers at any of `RATES`.
+    """
+    for number, baud in enumerate(RATES, start=1):
+        try:
+            port.set_baud(baud)
+        except DeviceError:  # another rate may work; if the port is gone, sending says so
+            continue
+        transport = SerialTransport(port)
+        transport.send(encode_request(identify(number)))
+        deadline = time.monotonic() + timeout_s
+        while (answer := transport.receive(deadline - time.monotonic())) is not None:
+            with contextlib.suppress(MessageError):
+                # an answer to an earlier request came at another rate
+                if decode_response(answer).transaction == number:
+                    return baud
+    tried = ", ".join(map(str, RATES))
+    raise DeviceTimeoutError(
+        f"no board answers on {port.name} at {tried} baud: is the illuminator switched on, and is "
+        "this its port? Give the rate of a build that has another one"
+    )
 
 
 def _explain(path: str, error: OSError) -> DeviceError:

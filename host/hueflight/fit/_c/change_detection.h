@@ -2,12 +2,18 @@
 /* Whether a pixel's counts still are what they were when it was fitted; change_detection.py is the
  * definition. */
 
-/* Floats in each half of a pixel's change reference. */
-INLINE size_t reference_size(const ModelTables *tables)
+/* Weights of a pixel's bins. */
+INLINE size_t weight_room(const ModelTables *tables)
 {
     size_t bins = (size_t)tables->wide.bins, multiple = REFERENCE_MULTIPLE;
     return (bins + multiple - 1) / multiple * multiple;
 }
+
+/* Sums of a pixel's counts: with the squares of the weights, with the weights, all, and in each band's
+ * zone. The variance of those with the weights is the first one, of all others they themselves. */
+enum { ACROSS, ALONG, ALL, ZONES };
+
+INLINE size_t contrast_sums(const ModelTables *tables) { return ZONES + (size_t)tables->bands; }
 
 /* Counts of one pixel at the bins of the search. */
 INLINE const float *wide_counts(const ModelTables *tables, const Light *light, size_t pixel,
@@ -26,73 +32,106 @@ INLINE const float *wide_counts(const ModelTables *tables, const Light *light, s
     return scratch->wide;
 }
 
-/* Prefetches a pixel's change reference. */
-INLINE void fetch_reference(const float *memory, size_t room)
+typedef int8_t bytes __attribute__((vector_size(LANES), aligned(1)));
+typedef int16_t words __attribute__((vector_size(2 * LANES)));
+
+/* Weights as floats; compilers extend whole numbers twofold at a time. */
+INLINE vec widen_8(const int8_t *from)
 {
-    for (size_t at = 0; at < room; at += 16)
-        __builtin_prefetch(memory + at);
+    words some = __builtin_convertvector(*(const bytes *)from, words);
+    return __builtin_convertvector(__builtin_convertvector(some, ivec), vec);
 }
 
-/* Change reference of a pixel: its counts, and the derivative of the fit's expected counts by the
- * delay, relative to themselves. */
-INLINE void change_reference(const ModelTables *tables, const float *counts, float delay,
-                             const float *fitted, float background, vec *work, float *memory)
+/* Numbers from −127 to 127 as weights, rounded to the nearest. */
+INLINE void narrow_8(vec numbers, int8_t *to)
 {
-    const DelayTables *level = &tables->wide;
-    float amplitudes[MOST_BANDS];
-    for (int k = 0; k < tables->bands; k++)
-        amplitudes[k] = fitted[k] > 0 ? fitted[k] : 0;
-    vec whole = {0};
-    for (int v = 0; v < level->blocks; v++)
-        whole += load(counts + v * LANES);
-    float least = floor_of(&tables->rules, sum(whole)), *steep = memory + reference_size(tables);
-    expect(level, phase_of(level, delay), amplitudes, background > least ? background : least,
-           work, work + level->blocks);
-    memset(memory, 0, 2 * reference_size(tables) * sizeof *memory);
-    memcpy(memory, counts, (size_t)level->bins * sizeof *counts);
-    for (int v = 0; v < level->blocks; v++)
-        store(steep + v * LANES, work[level->blocks + v] / work[v]);
+    const float big = 12582912.0f; /* 1.5 · 2²³, above which floats are whole */
+    ivec whole = __builtin_convertvector((numbers + big) - big, ivec);
+    *(bytes *)to = __builtin_convertvector(__builtin_convertvector(whole, words), bytes);
 }
 
-/* Greatest difference between counts now and at the last fit, in units of its standard deviation: of
- * all counts, of each band's zone, and along the derivative by the delay. */
-INLINE float change_significance(const ModelTables *tables, const float *now, const float *memory,
-                                 float scale, float delay, vec *apart, vec *spreads)
+/* Sums of counts by which changes are told, the zones those of the lag next to a delay. `work` has room
+ * for the blocks and one more. */
+INLINE void sum_contrasts(const ModelTables *tables, const float *counts, const int8_t *weights,
+                          float delay, vec *work, float *sums)
 {
     const SearchTables *search = &tables->search;
-    const float *steepness = memory + reference_size(tables);
-    float gaps[MOST_BANDS] = {0}, sizes[MOST_BANDS] = {0}, most = 0;
-    vec gap = {0}, size = {0}, steep_gap = {0}, steep_size = {0};
+    float *before = (float *)work; /* sum of the counts before each bin */
+    vec along = {0}, across = {0}, whole = {0};
+    ivec lanes = lane_numbers();
+    before[0] = 0;
     for (int v = 0; v < tables->wide.blocks; v++) {
-        vec a = load(now + v * LANES), b = scale * load(memory + v * LANES);
-        vec steep = load(steepness + v * LANES);
-        apart[v] = a - b;
-        spreads[v] = a + scale * b;
-        gap += apart[v];
-        size += spreads[v];
-        steep_gap += steep * apart[v];
-        steep_size += steep * steep * spreads[v];
+        vec a = load(counts + v * LANES), weight = widen_8(weights + v * LANES), part = weight * a;
+        along += part;
+        across += weight * part;
+        for (int by = 1; by < LANES; by *= 2)
+            a += choose(lanes >= by, picked(a, (lanes - by) & (LANES - 1)), (vec){0});
+        a += whole;
+        store(before + 1 + v * LANES, a);
+        whole = fill(a[LANES - 1]);
     }
+    sums[ALL] = whole[0];
+    sums[ALONG] = sum(along);
+    sums[ACROSS] = sum(across);
+    memset(sums + ZONES, 0, (size_t)tables->bands * sizeof *sums);
     float lag = rintf((delay - search->first_ns) / search->step_ns);
     int here = lag < 0 ? 0 : lag > (float)(search->lags - 1) ? search->lags - 1 : (int)lag;
     for (int run = search->places[here]; run < search->places[here + 1]; run++) {
         const int32_t *bins = search->runs + (size_t)run * 3;
-        vec x = {0}, y = {0};
-        for (int v = bins[1] / LANES; v * LANES < bins[2]; v++) {
-            ivec bin = lane_numbers() + v * LANES, inside = (bin >= bins[1]) & (bin < bins[2]);
-            x += choose(inside, apart[v], (vec){0});
-            y += choose(inside, spreads[v], (vec){0});
-        }
-        gaps[bins[0]] += sum(x);
-        sizes[bins[0]] += sum(y);
+        sums[ZONES + bins[0]] += before[bins[2]] - before[bins[1]];
     }
+}
+
+/* Change reference of a pixel: weights of its bins, which follow the derivative of the fit's expected
+ * counts by the delay, relative to themselves, and sums of its counts. */
+INLINE void change_reference(const ModelTables *tables, const float *counts, float delay,
+                             const float *fitted, float background, vec *work, int8_t *weights,
+                             float *sums)
+{
+    const DelayTables *level = &tables->wide;
+    float amplitudes[MOST_BANDS], steepest = 0;
     for (int k = 0; k < tables->bands; k++)
-        if (sizes[k] > 0)
-            most = fmaxf(most, gaps[k] * gaps[k] / sizes[k]);
-    float all = sum(gap), spread = sum(size), along = sum(steep_gap), across = sum(steep_size);
-    if (spread > 0)
-        most = fmaxf(most, all * all / spread);
-    if (across > 0)
-        most = fmaxf(most, along * along / across);
+        amplitudes[k] = fitted[k] > 0 ? fitted[k] : 0;
+    vec whole = {0}, most = {0}, *steep = work + level->blocks;
+    for (int v = 0; v < level->blocks; v++)
+        whole += load(counts + v * LANES);
+    float least = floor_of(&tables->rules, sum(whole));
+    expect(level, phase_of(level, delay), amplitudes, background > least ? background : least,
+           work, steep);
+    for (int v = 0; v < level->blocks; v++) {
+        ivec inside = lane_numbers() + v * LANES < level->bins;
+        steep[v] = choose(inside, steep[v] / work[v], (vec){0});
+        most = greater(most, (vec)((ivec)steep[v] & 0x7fffffff));
+    }
+    for (int lane = 0; lane < LANES; lane++)
+        steepest = most[lane] > steepest ? most[lane] : steepest;
+    memset(weights, 0, weight_room(tables));
+    for (int v = 0; v < level->blocks; v++)
+        narrow_8(steep[v] * (steepest > 0 ? MOST_WEIGHT / steepest : 0), weights + v * LANES);
+    sum_contrasts(tables, counts, weights, delay, work, sums);
+}
+
+/* Greatest difference between counts now and at the last fit, in units of its standard deviation. */
+INLINE float change_significance(const ModelTables *tables, const float *counts,
+                                 const int8_t *weights, const float *kept, float scale, float delay,
+                                 vec *work)
+{
+    enum { MOST_SUMS = ZONES + MOST_BANDS + LANES };
+    float now[MOST_SUMS] = {0}, then[MOST_SUMS] = {0}, most = 0;
+    size_t made = contrast_sums(tables);
+    memcpy(then, kept, made * sizeof *then);
+    sum_contrasts(tables, counts, weights, delay, work, now);
+    vec greatest = {0}, zero = {0};
+    for (size_t at = ALONG; at < made; at += LANES) {
+        vec seen = load(now + at), earlier = load(then + at), gap = seen - scale * earlier;
+        if (at == ALONG) {
+            seen[0] = now[ACROSS];
+            earlier[0] = then[ACROSS];
+        }
+        vec size = seen + scale * scale * earlier, ratio = gap * gap / (size + LEAST);
+        greatest = greater(greatest, choose(size > zero, ratio, zero));
+    }
+    for (int lane = 0; lane < LANES; lane++)
+        most = greatest[lane] > most ? greatest[lane] : most;
     return sqrtf(most);
 }

@@ -17,7 +17,6 @@ enum { CHUNK = 4096 };
 #define FILLED_LITTLE 0.8f
 #define FILLED_WELL 0.95f
 
-
 /* Memory for CHUNK pixels, each of which has a track or two; see kernels.c. */
 typedef struct {
     float *fine, *wide, *sensor, *earlier; /* counts of pixels, and of one pixel */
@@ -31,6 +30,7 @@ typedef struct {
     const char **rows;
     float *offsets, *arrivals, *others;
     uint8_t *tested;
+    float *curves; /* of one phase */
 } Scratch;
 
 /* Pixels that are fitted together. */
@@ -99,13 +99,13 @@ APART int search_groups(const Chunk *chunk, int first, int made)
             source.rows[lane] = scratch->rows[p < last ? p : last];
             offset[lane] = scratch->offsets[p < last ? p : last];
         }
-        read_side_by_side(&source, 0, bins, scratch->counts);
-        totals[g] = sum_abreast(tables, scratch->counts, scratch->sums, g);
+        totals[g] = sum_abreast(tables, &source, scratch->counts, scratch->sums, g);
         offsets[g] = load(offset);
     }
-    for (int p = first + TOGETHER * LANES; p < chunk->count && p < first + 2 * TOGETHER * LANES; p++)
-        fetch_row(&chunk->fine, scratch->rows[p], bins);
-    search_lags(tables, scratch->sums, totals, offsets, scratch->scores, scratch->shares);
+    int done = first + TOGETHER * LANES, left = chunk->count - done;
+    Upcoming next = {&chunk->fine, scratch->rows + done,
+                     left < 0 ? 0 : left < TOGETHER * LANES ? left : TOGETHER * LANES, bins};
+    search_lags(tables, scratch->sums, totals, offsets, &next, scratch->scores, scratch->shares);
     for (int g = 0; g < TOGETHER && first + g * LANES < chunk->count; g++) {
         int begin = first + g * LANES, left = chunk->count - begin, some = left < LANES ? left : LANES;
         const vec *wide = scratch->sums + g, *scores = scratch->scores + g;
@@ -276,19 +276,21 @@ APART void test_group(const Chunk *chunk, const int32_t *pixels, int count, doub
         rows[lane] = track_of(chunk, p);
         tested |= scratch->tested[p];
     }
-    vec *counts = scratch->counts, *pulses = scratch->work, *work = pulses + bins, chi = fill(NAN);
+    vec *counts = scratch->counts, chi = fill(NAN);
     vec fields[AT_AMPLITUDES + MOST_BANDS + LANES], *amplitudes = fields + AT_AMPLITUDES;
     read_side_by_side(&source, 0, bins, counts);
     read_fields(rows, AT_AMPLITUDES + bands, fields);
     for (int k = 0; k < bands; k++)
         amplitudes[k] = greater(amplitudes[k], (vec){0});
-    expect_pulses(&tables->wide, phase, amplitudes, pulses);
     vec ratio = fill(NAN), score = ratio;
-    if (tested)
-        ratio = likelihood_ratios(tables, counts, pulses, fields[AT_TOTAL], fields[AT_BACKGROUND]);
+    if (tested) {
+        expect_pulses(&tables->wide, phase, amplitudes, scratch->work);
+        ratio = likelihood_ratios(tables, counts, scratch->work, fields[AT_TOTAL],
+                                  fields[AT_BACKGROUND]);
+    }
     if (tables->rules.assessed)
-        score = screen(tables, chunk->tests, phase, counts, pulses, amplitudes, fields[AT_BACKGROUND],
-                       work, &chi);
+        score = screen(tables, chunk->tests, phase, scratch->curves, counts, amplitudes,
+                       fields[AT_BACKGROUND], scratch->work, &chi);
     for (int lane = 0; lane < count; lane++) {
         int p = pixels[lane];
         detection[p] = scratch->tested[p] ? (double)ratio[lane] : (double)NAN;
@@ -302,7 +304,7 @@ INLINE void test_all(const Chunk *chunk, double *detection, double *chi_square, 
 {
     const ModelTables *tables = chunk->tables;
     const Scratch *scratch = chunk->scratch;
-    int count = 0, asked = 0, some;
+    int count = 0, asked = 0, some, curved = -1;
     for (int p = 0; p < chunk->count; p++) {
         scratch->phase[p] = phase_of(&tables->wide, scratch->arrivals[p]);
         detection[p] = chi_square[p] = misfit[p] = (double)NAN;
@@ -312,6 +314,10 @@ INLINE void test_all(const Chunk *chunk, double *detection, double *chi_square, 
     sort_by_phase(scratch->phase, tables->wide.phases, scratch->active, count, scratch->places,
                   scratch->sorted);
     for (int i = 0; i < count; i += some) {
+        int phase = scratch->phase[scratch->sorted[i]];
+        if (tables->rules.assessed && phase != curved)
+            curve_runs(tables, phase, scratch->curves);
+        curved = phase;
         some = same_phase(scratch->phase, scratch->sorted + i, count - i);
         test_group(chunk, scratch->sorted + i, some, detection, chi_square, misfit);
     }
@@ -362,7 +368,7 @@ static void fit_pixels(const ModelTables *tables, const Light *light, const int6
                        const Scratch *scratch)
 {
     Chunk chunk = {.tables = tables, .tests = tests, .scratch = scratch};
-    size_t size = LEAST_CHUNK;
+    size_t size = pixels < CHUNK / 2 ? pixels : LEAST_CHUNK; /* few pixels rarely share a phase */
     for (size_t first = 0; first < pixels; first += (size_t)chunk.count) {
         size_t left = pixels - first;
         chunk.count = (int)(left < size ? left : size);

@@ -26,6 +26,9 @@
 #include "change_detection.h"
 #include "correlation.h"
 #include "paper.h"
+#include "deviations.h"
+#include "conversion.h"
+#include "edges.h"
 
 #ifndef MODULE
 #define MODULE _kernels
@@ -56,7 +59,7 @@ static size_t lay_out_scratch(const ModelTables *tables, int pixels, int kept, c
     size_t fine = whole(tables->fine.bins), wide = whole(tables->wide.bins);
     size_t phases = (size_t)(tables->fine.phases > tables->wide.phases ? tables->fine.phases
                                                                        : tables->wide.phases);
-    size_t work = 6 * fine / LANES > 3 * wide ? 6 * fine / LANES : 3 * wide;
+    size_t work = 8 * fine / LANES > 3 * wide ? 8 * fine / LANES : 3 * wide;
     scratch->fine_stride = fine + 16; /* not a power of two */
     scratch->wide_stride = wide + 16;
     scratch->fine = take(&place, kept ? some * 4 * scratch->fine_stride : 0);
@@ -82,31 +85,47 @@ static size_t lay_out_scratch(const ModelTables *tables, int pixels, int kept, c
     scratch->arrivals = take(&place, 4 * some);
     scratch->others = take(&place, 4 * some);
     scratch->tested = take(&place, some);
+    scratch->curves = take(&place, 4 * wide * (size_t)tables->bands);
     return (size_t)(place - begin);
 }
 
-/* All scratch memory from one block, or NULL. */
+/* Sets to 0 what follows the bins of rows, since whole vectors are read. */
+static void clear_ends(float *rows, size_t count, size_t stride, int bins)
+{
+    for (size_t i = 0; i < count; i++)
+        memset(rows + i * stride + bins, 0, (stride - (size_t)bins) * sizeof *rows);
+}
+
+/* All scratch memory from one block, or NULL. Of what is not cleared, nothing is read before it is
+ * written. */
 static char *make_scratch(const ModelTables *tables, int pixels, int kept, Scratch *scratch)
 {
     static char nothing[64];
-    char *block = calloc(lay_out_scratch(tables, pixels, kept, nothing, scratch) + 64, 1);
-    if (block)
-        lay_out_scratch(tables, pixels, kept, (char *)(((uintptr_t)block + 63) / 64 * 64), scratch);
+    size_t size = lay_out_scratch(tables, pixels, kept, nothing, scratch) + 64;
+    char *block = malloc(size);
+    if (!block)
+        return NULL;
+    lay_out_scratch(tables, pixels, kept, (char *)(((uintptr_t)block + 63) / 64 * 64), scratch);
+    clear_ends(scratch->fine, kept ? (size_t)pixels : 0, scratch->fine_stride, tables->fine.bins);
+    clear_ends(scratch->wide, (size_t)pixels, scratch->wide_stride, tables->wide.bins);
+    clear_ends(scratch->sensor, 1, whole(tables->bins), 0);
+    clear_ends(scratch->earlier, 1, whole(tables->bins), 0);
     return block;
 }
 
-/* fit, change_reference and change_significance begin with the same arguments. */
+/* fit, change_reference and changes begin with the same arguments. */
 _Static_assert((int)FIT_SEARCH_SHARES == (int)CHANGE_REFERENCE_SEARCH_SHARES
-               && (int)FIT_SEARCH_SHARES == (int)CHANGE_SIGNIFICANCE_SEARCH_SHARES
+               && (int)FIT_SEARCH_SHARES == (int)CHANGES_SEARCH_SHARES
                && (int)FIT_SIZES == (int)CHANGE_REFERENCE_SIZES
-               && (int)FIT_SIZES == (int)CHANGE_SIGNIFICANCE_SIZES, "the tables come first");
+               && (int)FIT_SIZES == (int)CHANGES_SIZES, "the tables come first");
 _Static_assert((int)FIT_COUNTS == 0 && (int)SUMS_COUNTS == 0 && (int)CORRELATIONS_COUNTS == 0
                && (int)FIT_PIXELS == 1 && (int)SUMS_PIXELS == 1 && (int)CORRELATIONS_PIXELS == 1,
                "counts and pixels come before everything else");
 enum { COUNTS_GIVEN = FIT_COUNTS, PIXELS_GIVEN = FIT_PIXELS, MOST_BUFFERS = FIT_BUFFERS };
 _Static_assert((int)CHANGE_REFERENCE_BUFFERS <= (int)MOST_BUFFERS
-               && (int)CHANGE_SIGNIFICANCE_BUFFERS <= (int)MOST_BUFFERS
-               && (int)CORRELATIONS_BUFFERS <= (int)MOST_BUFFERS, "there is room for all buffers");
+               && (int)CHANGES_BUFFERS <= (int)MOST_BUFFERS
+               && (int)CORRELATIONS_BUFFERS <= (int)MOST_BUFFERS
+               && (int)PICTURE_BUFFERS <= (int)MOST_BUFFERS, "there is room for all buffers");
 
 #define DELAY_TABLES(LEVEL, PLACE)                                                                \
     (DelayTables)                                                                                 \
@@ -117,7 +136,8 @@ _Static_assert((int)CHANGE_REFERENCE_BUFFERS <= (int)MOST_BUFFERS
         .run_places = held[FIT_##PLACE##_RUN_PLACES].buf, .runs = held[FIT_##PLACE##_RUNS].buf,   \
         .data = held[FIT_##PLACE##_DATA].buf, .segments = held[FIT_##PLACE##_SEGMENTS].buf,       \
         .segment_places = held[FIT_##PLACE##_SEGMENT_PLACES].buf,                                 \
-        .lit = held[FIT_##PLACE##_LIT].buf                                                        \
+        .lit = held[FIT_##PLACE##_LIT].buf, .sums = held[FIT_##PLACE##_SUMS].buf,                 \
+        .whole = sizes->LEVEL##_whole                                                             \
     }
 
 static void make_tables(const Py_buffer *held, ModelTables *tables)
@@ -139,16 +159,17 @@ static void make_tables(const Py_buffer *held, ModelTables *tables)
     };
 }
 
-/* Holds all arguments as buffers: the counts with any strides, the others contiguous, those after
- * the first `reads` to be written. Returns how many, or fewer with an error set. */
-static int hold(PyObject *args, Py_buffer *held, int wanted, int reads)
+/* Holds all arguments as buffers: the counts, where number `counts` is one of them, with any strides,
+ * the others contiguous, those after the first `reads` to be written. Returns how many, or fewer with
+ * an error set. */
+static int hold(PyObject *args, Py_buffer *held, int wanted, int reads, int counts)
 {
     if (PyTuple_Size(args) != wanted) {
         PyErr_Format(PyExc_TypeError, "expected %d buffers", wanted);
         return 0;
     }
     for (int i = 0; i < wanted; i++) {
-        int flags = i == COUNTS_GIVEN ? PyBUF_STRIDED_RO | PyBUF_FORMAT
+        int flags = i == counts ? PyBUF_STRIDED_RO | PyBUF_FORMAT
                   : i >= reads ? PyBUF_WRITABLE : PyBUF_SIMPLE;
         if (PyObject_GetBuffer(PyTuple_GetItem(args, i), &held[i], flags))
             return i;
@@ -188,7 +209,7 @@ typedef struct {
 static int begin(Call *call, PyObject *args, int wanted, int reads)
 {
     const Py_buffer *held = call->held;
-    call->count = hold(args, call->held, wanted, reads);
+    call->count = hold(args, call->held, wanted, reads, COUNTS_GIVEN);
     if (call->count < wanted || !light_of(&held[COUNTS_GIVEN], &held[PIXELS_GIVEN], &call->light))
         return 0;
     call->which = held[PIXELS_GIVEN].buf;
@@ -226,8 +247,8 @@ static int allocated(const Call *call)
     return call->block != NULL;
 }
 
-/* Tables from the arguments; false if they do not fit the counts. */
-static int read_tables(const Call *call, ModelTables *tables)
+/* Tables from the arguments; false if they do not fit counts of so many bins. */
+static int read_tables(const Call *call, Py_ssize_t bins, ModelTables *tables)
 {
     const Py_buffer *held = call->held;
     *tables = (ModelTables){0};
@@ -235,14 +256,14 @@ static int read_tables(const Call *call, ModelTables *tables)
         return 0;
     make_tables(held, tables);
     return tables->bands >= 1 && tables->bands <= MOST_BANDS && tables->rules.nodes >= 1
-        && tables->rules.nodes <= MOST_NODES && held[COUNTS_GIVEN].shape[1] == tables->bins;
+        && tables->rules.nodes <= MOST_NODES && bins == tables->bins;
 }
 
 static int run_fit(Call *call)
 {
     const Py_buffer *held = call->held;
     ModelTables tables;
-    int fits = read_tables(call, &tables);
+    int fits = read_tables(call, held[COUNTS_GIVEN].shape[1], &tables);
     size_t each = 8 * (size_t)tables.bands, contrasts = (size_t)tables.rules.contrasts;
     if (!fits || (held[FIT_RATES].len && !holds(call, FIT_RATES, 4))
         || !holds(call, FIT_OFFSETS, 4) || !holds(call, FIT_DELAY_NS, 8)
@@ -290,12 +311,13 @@ static int run_change_reference(Call *call)
 {
     const Py_buffer *held = call->held;
     ModelTables tables;
-    int fits = read_tables(call, &tables);
-    size_t bands = (size_t)tables.bands, room = 2 * reference_size(&tables);
+    int fits = read_tables(call, held[COUNTS_GIVEN].shape[1], &tables);
+    size_t bands = (size_t)tables.bands, room = weight_room(&tables), sums = contrast_sums(&tables);
     if (!fits || !holds(call, CHANGE_REFERENCE_DELAYS, 4)
         || !holds(call, CHANGE_REFERENCE_AMPLITUDES, 4 * bands)
         || !holds(call, CHANGE_REFERENCE_BACKGROUND, 4)
-        || !holds(call, CHANGE_REFERENCE_REFERENCE, 4 * room))
+        || !holds(call, CHANGE_REFERENCE_WEIGHTS, room)
+        || !holds(call, CHANGE_REFERENCE_SUMS, 4 * sums))
         return refuse("change_reference: buffers do not fit one another");
     Scratch scratch;
     call->block = make_scratch(&tables, 1, 1, &scratch);
@@ -304,12 +326,13 @@ static int run_change_reference(Call *call)
     const float *delays = held[CHANGE_REFERENCE_DELAYS].buf;
     const float *amplitudes = held[CHANGE_REFERENCE_AMPLITUDES].buf;
     const float *background = held[CHANGE_REFERENCE_BACKGROUND].buf;
-    float *reference = held[CHANGE_REFERENCE_REFERENCE].buf;
+    int8_t *weights = held[CHANGE_REFERENCE_WEIGHTS].buf;
+    float *made = held[CHANGE_REFERENCE_SUMS].buf;
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
         const float *counts = wide_counts(&tables, &call->light, (size_t)call->which[i], &scratch);
         change_reference(&tables, counts, delays[i], amplitudes + i * bands, background[i],
-                         scratch.work, reference + i * room);
+                         scratch.work, weights + i * room, made + i * sums);
     }
     Py_END_ALLOW_THREADS
     return 1;
@@ -323,49 +346,72 @@ static PyObject *py_change_reference(PyObject *self, PyObject *args)
                           && run_change_reference(&call));
 }
 
-static int run_change_significance(Call *call)
+/* The part of counts that is light, in time order; false if it does not fit the tables. */
+static int light_within(const Call *call, ModelTables *tables, Light *light)
+{
+    const int64_t *span = call->held[CHANGES_SPAN].buf;
+    *light = call->light;
+    if (call->held[CHANGES_SPAN].len != 24 || span[0] < 0 || span[1] <= span[0]
+        || span[1] > call->held[COUNTS_GIVEN].shape[1]
+        || !read_tables(call, span[1] - span[0], tables))
+        return 0;
+    light->data += (span[2] ? span[1] - 1 : span[0]) * light->bin_step;
+    light->bin_step *= span[2] ? -1 : 1;
+    return 1;
+}
+
+static int run_changes(Call *call)
 {
     const Py_buffer *held = call->held;
     ModelTables tables;
-    int fits = read_tables(call, &tables);
-    size_t room = 2 * reference_size(&tables);
-    if (!fits || !holds(call, CHANGE_SIGNIFICANCE_DELAYS, 4)
-        || !holds(call, CHANGE_SIGNIFICANCE_SCALES, 4)
-        || !holds(call, CHANGE_SIGNIFICANCE_SIGNIFICANCE, 4)
-        || (size_t)held[CHANGE_SIGNIFICANCE_REFERENCE].len
-               < 4 * room * (size_t)call->light.pixels)
-        return refuse("change_significance: buffers do not fit one another");
+    Light light;
+    int fits = light_within(call, &tables, &light);
+    size_t room = weight_room(&tables), sums = contrast_sums(&tables);
+    size_t pixels = (size_t)call->light.pixels;
+    if (!fits || !holds(call, CHANGES_ALL, 8) || !holds(call, CHANGES_INSIDE, 8)
+        || !holds(call, CHANGES_FULL, 1) || !holds(call, CHANGES_SIGNIFICANCE, 4)
+        || (held[CHANGES_EXPOSURES].len && (size_t)held[CHANGES_EXPOSURES].len < 8 * pixels)
+        || (held[CHANGES_EARLIER].len && (size_t)held[CHANGES_EARLIER].len < 8 * pixels)
+        || (size_t)held[CHANGES_DELAYS].len < 4 * pixels
+        || (size_t)held[CHANGES_WEIGHTS].len < room * pixels
+        || (size_t)held[CHANGES_KEPT].len < 4 * sums * pixels)
+        return refuse("changes: buffers do not fit one another");
     Scratch scratch;
     call->block = make_scratch(&tables, 1, 1, &scratch);
     if (!allocated(call))
         return 0;
-    const float *delays = held[CHANGE_SIGNIFICANCE_DELAYS].buf;
-    const float *scales = held[CHANGE_SIGNIFICANCE_SCALES].buf;
-    const float *reference = held[CHANGE_SIGNIFICANCE_REFERENCE].buf;
-    float *results = held[CHANGE_SIGNIFICANCE_SIGNIFICANCE].buf;
+    const int64_t *span = held[CHANGES_SPAN].buf;
+    const double *exposures = held[CHANGES_EXPOSURES].len ? held[CHANGES_EXPOSURES].buf : NULL;
+    const double *earlier = held[CHANGES_EARLIER].len ? held[CHANGES_EARLIER].buf : NULL;
+    const float *delays = held[CHANGES_DELAYS].buf, *kept = held[CHANGES_KEPT].buf;
+    const int8_t *weights = held[CHANGES_WEIGHTS].buf;
+    double *all = held[CHANGES_ALL].buf, *inside = held[CHANGES_INSIDE].buf;
+    uint8_t *full = held[CHANGES_FULL].buf;
+    float *results = held[CHANGES_SIGNIFICANCE].buf;
+    int bins = (int)held[COUNTS_GIVEN].shape[1];
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
         size_t pixel = (size_t)call->which[i];
-        if (i + 2 < call->pixels) {
-            size_t next = (size_t)call->which[i + 2];
-            fetch_row(&call->light, row_of(&call->light, next), tables.bins);
-            fetch_reference(reference + next * room, room);
-        }
-        const float *now = wide_counts(&tables, &call->light, pixel, &scratch);
-        results[i] = change_significance(&tables, now, reference + pixel * room, scales[i],
-                                         delays[i], scratch.work,
-                                         scratch.work + tables.wide.blocks);
+        if (i + 4 < call->pixels)
+            fetch_row(&call->light, row_of(&call->light, (size_t)call->which[i + 4]), bins);
+        sum_counts(&call->light, pixel, bins, (int)span[0], (int)span[1], all + i, inside + i,
+                   full + i);
+        double now = exposures ? exposures[pixel] : all[i];
+        const float *counts = wide_counts(&tables, &light, pixel, &scratch);
+        results[i] = change_significance(&tables, counts, weights + pixel * room,
+                                         kept + pixel * sums,
+                                         earlier ? (float)(now / earlier[pixel]) : 1, delays[pixel],
+                                         scratch.work);
     }
     Py_END_ALLOW_THREADS
     return 1;
 }
 
-static PyObject *py_change_significance(PyObject *self, PyObject *args)
+static PyObject *py_changes(PyObject *self, PyObject *args)
 {
     (void)self;
     Call call = {0};
-    return end(&call, begin(&call, args, CHANGE_SIGNIFICANCE_BUFFERS, CHANGE_SIGNIFICANCE_READS)
-                          && run_change_significance(&call));
+    return end(&call, begin(&call, args, CHANGES_BUFFERS, CHANGES_READS) && run_changes(&call));
 }
 
 static int run_sums(Call *call)
@@ -462,6 +508,8 @@ static PyObject *py_correlations(PyObject *self, PyObject *args)
                           && run_correlations(&call));
 }
 
+#include "picture_calls.h"
+
 /* processor(): 2 if it knows AVX-512 (x86-64-v4), 1 if AVX2 and fused products (v3), else 0. */
 static PyObject *py_processor(PyObject *self, PyObject *args)
 {
@@ -486,8 +534,11 @@ static PyMethodDef methods[] = {
     {"sums", py_sums, METH_VARARGS, "Counts of pixels."},
     {"fit", py_fit, METH_VARARGS, "Joint fit of pixels."},
     {"change_reference", py_change_reference, METH_VARARGS, "What later counts are compared with."},
-    {"change_significance", py_change_significance, METH_VARARGS, "How much counts have changed."},
+    {"changes", py_changes, METH_VARARGS, "Counts of pixels, and how much they have changed."},
     {"correlations", py_correlations, METH_VARARGS, "The published method."},
+    {"verdicts", py_verdicts, METH_VARARGS, "Flags of fits."},
+    {"picture", py_picture, METH_VARARGS, "Results of pixels at their places in a picture."},
+    {"surface_starts", py_surface_starts, METH_VARARGS, "Surfaces about pixels."},
     {NULL, NULL, 0, NULL},
 };
 

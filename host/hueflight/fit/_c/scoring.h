@@ -11,7 +11,7 @@ typedef struct {
 #define AT(row, col) ((row) * ((row) + 1) / 2 + (col))
 
 /* Adds the bins of a segment that `lit_bands` bands light, the same for all calls of one function, so
- * that sums stay in registers. */
+ * that sums stay in registers. What concerns the background follows from these sums: see `complete`. */
 INLINE void add_segment(const ModelTables *tables, const DelayTables *level, const Segment *segment,
                         const vec *counts, const vec *amplitudes, vec background, Equations *e,
                         const int lit_bands)
@@ -19,8 +19,8 @@ INLINE void add_segment(const ModelTables *tables, const DelayTables *level, con
     enum { ROOM = 3 };
     const Lit *lit = level->lit + segment->lit;
     const float *widths = level->widths + segment->bin, *shares[ROOM], *slopes[ROOM];
-    int b = tables->bands, t = b + 1, bins = segment->bins;
-    vec a[ROOM], self[ROOM], width[ROOM], along[ROOM], seen[ROOM], pair[ROOM];
+    int t = tables->bands + 1, bins = segment->bins;
+    vec a[ROOM], self[ROOM], along[ROOM], seen[ROOM], pair[ROOM];
     counts += segment->bin;
 #pragma GCC unroll 3
     for (int i = 0; i < lit_bands; i++) {
@@ -29,38 +29,28 @@ INLINE void add_segment(const ModelTables *tables, const DelayTables *level, con
         slopes[i] = level->data + lit[i].slopes;
         a[i] = amplitudes[k];
         self[i] = e->normal[AT(k, k)];
-        width[i] = e->normal[AT(b, k)];
         along[i] = e->normal[AT(t, k)];
         seen[i] = e->right[k];
 #pragma GCC unroll 3
         for (int j = 0; j < i; j++)
             pair[i + j - 1] = e->normal[AT(k, lit[j].band)];
     }
-    vec bb = e->normal[AT(b, b)], tb = e->normal[AT(t, b)], tt = e->normal[AT(t, t)];
-    vec rb = e->right[b], rt = e->right[t], cubic = e->cubic;
+    vec tt = e->normal[AT(t, t)], rt = e->right[t], cubic = e->cubic;
     for (int v = 0; v < bins; v++) {
-        float w = widths[v];
-        vec h = counts[v], mean = background * w + LEAST, slope = {0};
+        vec h = counts[v], mean = background * widths[v] + LEAST, slope = {0};
 #pragma GCC unroll 3
         for (int i = 0; i < lit_bands; i++) {
             mean += a[i] * shares[i][v];
             slope += a[i] * slopes[i][v];
         }
-        vec weight = reciprocal(mean), flat = weight * w;
-        bb += flat * w;
-        rb += flat * h;
-        if (lit_bands) {
-            vec steep = weight * slope;
-            tt += steep * slope;
-            tb += steep * w;
-            rt += steep * h;
-            cubic += steep * steep * slope;
-        }
+        vec weight = reciprocal(mean), steep = weight * slope, curved = steep * slope;
+        tt += curved;
+        rt += steep * h;
+        cubic += steep * curved;
 #pragma GCC unroll 3
         for (int i = 0; i < lit_bands; i++) {
             vec x = weight * shares[i][v];
             self[i] += x * shares[i][v];
-            width[i] += x * w;
             along[i] += x * slope;
             seen[i] += x * h;
 #pragma GCC unroll 3
@@ -72,17 +62,13 @@ INLINE void add_segment(const ModelTables *tables, const DelayTables *level, con
     for (int i = 0; i < lit_bands; i++) {
         int k = lit[i].band;
         e->normal[AT(k, k)] = self[i];
-        e->normal[AT(b, k)] = width[i];
         e->normal[AT(t, k)] = along[i];
         e->right[k] = seen[i];
 #pragma GCC unroll 3
         for (int j = 0; j < i; j++)
             e->normal[AT(k, lit[j].band)] = pair[i + j - 1];
     }
-    e->normal[AT(b, b)] = bb;
-    e->normal[AT(t, b)] = tb;
     e->normal[AT(t, t)] = tt;
-    e->right[b] = rb;
     e->right[t] = rt;
     e->cubic = cubic;
 }
@@ -92,7 +78,7 @@ APART void add_many(const ModelTables *tables, const DelayTables *level, const S
                     const vec *counts, const vec *amplitudes, vec background, Equations *e)
 {
     const Lit *lit = level->lit + segment->lit;
-    int b = tables->bands, t = b + 1;
+    int t = tables->bands + 1;
     for (int v = 0; v < segment->bins; v++) {
         float w = level->widths[segment->bin + v];
         vec h = counts[segment->bin + v], mean = background * w + LEAST, slope = {0};
@@ -100,11 +86,8 @@ APART void add_many(const ModelTables *tables, const DelayTables *level, const S
             mean += amplitudes[lit[i].band] * level->data[lit[i].shares + v];
             slope += amplitudes[lit[i].band] * level->data[lit[i].slopes + v];
         }
-        vec weight = reciprocal(mean), steep = weight * slope, flat = weight * w;
-        e->normal[AT(b, b)] += flat * w;
-        e->normal[AT(t, b)] += steep * w;
+        vec weight = reciprocal(mean), steep = weight * slope;
         e->normal[AT(t, t)] += steep * slope;
-        e->right[b] += flat * h;
         e->right[t] += steep * h;
         e->cubic += steep * steep * slope;
         for (int i = 0; i < segment->bands; i++) {
@@ -112,13 +95,36 @@ APART void add_many(const ModelTables *tables, const DelayTables *level, const S
             float share = level->data[lit[i].shares + v];
             vec x = weight * share;
             e->normal[AT(k, k)] += x * share;
-            e->normal[AT(b, k)] += x * w;
             e->normal[AT(t, k)] += x * slope;
             e->right[k] += x * h;
             for (int j = 0; j < i; j++)
                 e->normal[AT(k, lit[j].band)] += x * level->data[lit[j].shares + v];
         }
     }
+}
+
+/* Sums that concern the background. The weight is 1 ÷ mean, and the mean is the sum of what the bands
+ * and the background contribute: for any q that goes with bins, Σ q = Σ_k a_k Σ s_k q ÷ mean
+ * + background · Σ w q ÷ mean. Bins that no band lights need therefore not be looked at. */
+INLINE void complete(const ModelTables *tables, const DelayTables *level, int phase,
+                     const vec *amplitudes, vec background, vec total, Equations *e)
+{
+    int bands = tables->bands, b = bands, t = b + 1;
+    const float *sums = level->sums + (size_t)phase * 2 * (size_t)bands;
+    vec inverse = 1.0f / background, bb = fill(level->whole), rb = total, tb = {0};
+    for (int k = 0; k < bands; k++) {
+        vec rest = fill(sums[2 * k]);
+        for (int j = 0; j < bands; j++)
+            rest -= amplitudes[j] * e->normal[j < k ? AT(k, j) : AT(j, k)];
+        vec width = rest * inverse;
+        e->normal[AT(b, k)] = width;
+        bb -= amplitudes[k] * width;
+        rb -= amplitudes[k] * e->right[k];
+        tb += amplitudes[k] * (sums[2 * k + 1] - e->normal[AT(t, k)]);
+    }
+    e->normal[AT(b, b)] = bb * inverse;
+    e->right[b] = rb * inverse;
+    e->normal[AT(t, b)] = tb * inverse;
 }
 
 /* One function for each number of bands: a compiler that inlined them would round differently. */
@@ -129,16 +135,17 @@ APART void add_many(const ModelTables *tables, const DelayTables *level, const S
     {                                                                                             \
         add_segment(tables, level, segment, counts, amplitudes, background, e, BANDS);            \
     }
-ADD(add_none, 0)
 ADD(add_one, 1)
 ADD(add_two, 2)
 ADD(add_three, 3)
 
 enum { READ_BINS = 32 }; /* bins that are read at once, so that they are used while in the cache */
 
-/* Sums over all bins. Counts are read on the way: `counts` has room for all bins. */
+/* Sums over all bins that a band lights. Counts are read on the way: `counts` has room for all bins;
+ * `total` is the sum of them all. */
 INLINE void accumulate(const ModelTables *tables, const DelayTables *level, const Source *source,
-                       int phase, const vec *amplitudes, vec background, vec *counts, Equations *e)
+                       int phase, const vec *amplitudes, vec background, vec total, vec *counts,
+                       Equations *e)
 {
     memset(e->normal, 0, sizeof(vec) * (size_t)AT(tables->bands + 2, 0));
     memset(e->right, 0, sizeof(vec) * (size_t)(tables->bands + 2));
@@ -146,18 +153,22 @@ INLINE void accumulate(const ModelTables *tables, const DelayTables *level, cons
     int ready = 0;
     for (int i = level->segment_places[phase]; i < level->segment_places[phase + 1]; i++) {
         const Segment *segment = level->segments + i;
+        if (!segment->bands)
+            continue;
+        if (ready < segment->bin)
+            ready = segment->bin;
         for (int next; ready < segment->bin + segment->bins; ready = next) {
             next = ready + READ_BINS < level->bins ? ready + READ_BINS : level->bins;
             read_side_by_side(source, ready, next, counts);
         }
         switch (segment->bands) {
-        case 0: add_none(tables, level, segment, counts, amplitudes, background, e); break;
         case 1: add_one(tables, level, segment, counts, amplitudes, background, e); break;
         case 2: add_two(tables, level, segment, counts, amplitudes, background, e); break;
         case 3: add_three(tables, level, segment, counts, amplitudes, background, e); break;
         default: add_many(tables, level, segment, counts, amplitudes, background, e);
         }
     }
+    complete(tables, level, phase, amplitudes, background, total, e);
 }
 
 /* Solve the systems of all lanes by Cholesky's method. The inverse's lower factor replaces the normal
@@ -227,7 +238,8 @@ INLINE void step(const ModelTables *tables, const DelayTables *level, const Sour
     vec total = now[AT_TOTAL], least = rules->floor_photons + rules->floor_share * total;
     for (int k = 0; k < bands; k++)
         amplitudes[k] = greater(now[AT_AMPLITUDES + k], (vec){0});
-    accumulate(tables, level, source, phase, amplitudes, greater(now[AT_BACKGROUND], least), counts, e);
+    vec background = greater(now[AT_BACKGROUND], least);
+    accumulate(tables, level, source, phase, amplitudes, background, total, counts, e);
     vec most = 2.0f * total + 10.0f, known = 1.0f / (most * most);
     for (int k = 0; k <= bands; k++)
         e->normal[AT(k, k)] += known;

@@ -9,13 +9,52 @@ typedef struct {
     vec worse;         /* log-likelihood by which the second is worse */
 } Found;
 
+/* Rows of counts that are wanted next: a few are fetched with each lag, as memory keeps up with. */
+typedef struct {
+    const Light *light;
+    const char *const *rows;
+    int count, bins;
+} Upcoming;
+
+/* Sums of bins up to `bins` by fours, for each sum one vector a group; returns the sum of all. */
+APART vec sum_by_four(const Source *source, int bins, vec *counts, vec *wide)
+{
+    int block = source->light->type == 'H' ? 8 : 4, back = source->light->bin_step < 0, ready = 0;
+    vec total = {0}, made[2];
+    for (; ready + block <= bins; ready += block) {
+        if (block == 4)
+            made[0] = sum_four_32(source, ready);
+        else if (back)
+            sum_eight_16(source, ready, 1, made);
+        else
+            sum_eight_16(source, ready, 0, made);
+        for (int i = 0; i < block / 4; i++, wide += TOGETHER) {
+            *wide = made[i];
+            total += made[i];
+        }
+    }
+    if (ready < bins)
+        read_side_by_side(source, ready, bins, counts);
+    for (; ready < bins; wide += TOGETHER) {
+        vec x = counts[ready++];
+        for (int i = 1; i < 4 && ready < bins; i++)
+            x += counts[ready++];
+        *wide = x;
+        total += x;
+    }
+    return total;
+}
+
 /* Sums of each pixel's fine bins at the bins of the search, for each bin one vector a group; returns
  * the sum of all bins of group `mine`. */
-INLINE vec sum_abreast(const ModelTables *tables, const vec *fine, vec *wide, int mine)
+INLINE vec sum_abreast(const ModelTables *tables, const Source *source, vec *fine, vec *wide, int mine)
 {
     int factor = tables->search.factor;
     vec total = {0};
     wide += mine;
+    if (tables->views == 1 && factor == 4)
+        return sum_by_four(source, tables->fine.bins, fine, wide);
+    read_side_by_side(source, 0, tables->fine.bins, fine);
     for (int v = 0; v < tables->views; v++) {
         int size = (tables->sizes[v] + tables->factor - 1) / tables->factor;
         for (int first = 0; first < size; first += factor, wide += TOGETHER) {
@@ -33,12 +72,15 @@ INLINE vec sum_abreast(const ModelTables *tables, const vec *fine, vec *wide, in
 /* Log-likelihood of every lag and which share of background it had, for each lag one vector a group;
  * scores outside a pixel's range are −∞. */
 APART void search_lags(const ModelTables *tables, const vec *wide, const vec *totals,
-                        const vec *offsets, vec *scores, vec *shares)
+                        const vec *offsets, const Upcoming *next, vec *scores, vec *shares)
 {
     const SearchTables *search = &tables->search;
     const FitRules *rules = &tables->rules;
     float margin = search->lags > 1 ? search->step_ns / 2 : INFINITY;
     for (int lag = 0; lag < search->lags; lag++) {
+        int wanted = next->count * (lag + 1) / search->lags;
+        for (int row = next->count * lag / search->lags; row < wanted; row++)
+            fetch_row(next->light, next->rows[row], next->bins);
         vec score[BACKGROUND_SHARES][TOGETHER];
         for (int s = 0; s < BACKGROUND_SHARES; s++)
             for (int g = 0; g < TOGETHER; g++)

@@ -62,16 +62,36 @@ INLINE void read_eight_16(const Source *source, int bin, int back, vec *counts)
     }
 }
 
-/* Four bins of 32 bits. */
-INLINE void read_four_32(const Source *source, int bin, vec *counts)
+/* Four bins of 32 bits, the first to place `at`. */
+INLINE void read_four_32(const Source *source, int at, int bin, vec *counts)
 {
     int back = source->light->bin_step < 0;
     ivec words[4];
     read_four(source, back ? -4 * (bin + 3) : 4 * bin, words);
     for (int i = 0; i < 4; i++)
-        counts[bin + (back ? 3 - i : i)] = source->light->type == 'f'
+        counts[at + (back ? 3 - i : i)] = source->light->type == 'f'
                                            ? (vec)words[i]
                                            : __builtin_convertvector((uvec)words[i], vec);
+}
+
+/* Sums of the first and of the last four of eight bins of 16 bits. */
+INLINE void sum_eight_16(const Source *source, int bin, int back, vec *made)
+{
+    ivec words[4];
+    read_four(source, back ? -2 * (bin + 7) : 2 * bin, words);
+    for (int i = 0; i < 2; i++) {
+        ivec a = words[2 * i], b = words[2 * i + 1];
+        ivec four = first_of(a) + second_of(a) + first_of(b) + second_of(b);
+        made[back ? 1 - i : i] = __builtin_convertvector(four, vec);
+    }
+}
+
+/* Sum of four bins of 32 bits. */
+INLINE vec sum_four_32(const Source *source, int bin)
+{
+    vec counts[4];
+    read_four_32(source, 0, bin, counts);
+    return counts[0] + counts[1] + counts[2] + counts[3];
 }
 
 /* One bin, wherever there are too few for the others. */
@@ -95,7 +115,7 @@ APART void read_side_by_side(const Source *source, int from, int to, vec *counts
     for (; from < to; from += block) {
         int bin = from + block <= to ? from : to - block;
         if (block == 4)
-            read_four_32(source, bin, counts);
+            read_four_32(source, bin, bin, counts);
         else if (back)
             read_eight_16(source, bin, 1, counts);
         else

@@ -5,6 +5,7 @@
 /* Successive blocks of bins that one band lights. */
 typedef struct {
     int32_t band, bin, bins, place; /* place of its first share in a level's data */
+    int32_t lit_bin, lit_bins;      /* those with light */
 } Run;
 
 /* Successive bins that the same bands light. */
@@ -20,13 +21,15 @@ typedef struct {
 typedef struct {
     int bins, blocks, phases; /* blocks of LANES bins */
     float first_ns, phase_ns;
-    const float *widths;       /* share of the background in each bin */
+    float whole;               /* share of the background in all bins */
+    const float *widths;       /* and in each bin */
     const int32_t *run_places; /* phases + 1: first run of each phase */
     const Run *runs;
     const float *data;         /* of each run all shares, then all slopes */
     const int32_t *segment_places; /* phases + 1: first segment of each phase */
     const Segment *segments;
     const Lit *lit;
+    const float *sums; /* phases × bands × 2: sums of shares and slopes over bins */
 } DelayTables;
 
 typedef struct {

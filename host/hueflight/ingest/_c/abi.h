@@ -5,7 +5,7 @@
 #define HUEFLIGHT_INGEST_ABI_H
 #include <stdint.h>
 
-#define ABI "494c1c55b30cb8d3" /* hash of what follows */
+#define ABI "3722638f79d52dfb" /* hash of what follows */
 
 enum { AT_TYPE = 5 };
 enum { AT_HEADER_BYTES = 6 };
@@ -42,6 +42,8 @@ enum { BITMAP = 1 };
 enum { DENSE = 2 };
 enum { END = 3 };
 enum { TILE = 64 }; /* pixels that are added to a histogram together or not at all */
+enum { SCENE_TILE = 4 }; /* pixels on a side of a tile of the scene */
+enum { SMOOTHINGS = 4 }; /* of counts, with both halves of neighbors */
 enum { MOST_FRAMES = 65535 }; /* that the counters of a tile can hold */
 enum { HITS_SHIFT = 32 }; /* in an entry of the table of chunks: offset, hits, kind */
 enum { KIND_SHIFT = 48 };
@@ -88,5 +90,14 @@ _Static_assert(sizeof(State) == 224, "State is laid out as NumPy lays it out");
 
 /* count(data, chunks, stride, chosen, pixels, code_bits, run, out, wide, mode, done, begin, end): photons, clipped, pending */
 #define COUNT_ARGUMENTS "OOnOiiiOpiOnn"
+
+/* group_counts(histogram, wide, rows, cols, codes, group, leave_first, out): None */
+#define GROUP_COUNTS_ARGUMENTS "OpnnnnpO"
+
+/* gather(total, total_wide, histogram, histogram_wide, anew, rows, cols, codes, out, out_wide): None */
+#define GATHER_ARGUMENTS "OpOpOnnnOp"
+
+/* significance(newest, earlier, ratio, rows, cols, groups, size, window, brightness_tolerance, shift_tolerance, out): None */
+#define SIGNIFICANCE_ARGUMENTS "OOOnnnnnddO"
 
 #endif

@@ -1,13 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Packets to histograms, at the rate of the sensor chip: the extension module.
  *
- * Two kernels. numpy_kernels.py holds the reference implementation of each, which is also the
- * fallback and gives bit-identical results.
+ * numpy_kernels.py holds the reference implementation of each kernel, which is also the fallback
+ * and gives identical counts.
  *
- *   scan   finds the packets in a piece of a byte stream and records where their chunks lie;
- *   count  counts the codes of those frames.
+ *   scan          finds the packets in a piece of a byte stream and records where their chunks lie;
+ *   count         counts the codes of those frames;
+ *   group_counts  counts those of a histogram by tiles of pixels and groups of codes;
+ *   gather        adds a histogram to a sum that begins anew in some tiles;
+ *   significance  compares counts with what earlier ones predict.
  *
- * Nothing read from a packet is used as an offset or a size before it has been checked. Both
+ * Nothing read from a packet is used as an offset or a size before it has been checked. The
  * kernels run without the interpreter's lock and touch only buffers that the caller holds. */
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
@@ -18,6 +21,8 @@
 #include "scan.h"
 #include "rows.h"
 #include "count.h"
+#include "gather.h"
+#include "scene_change.h"
 
 typedef struct { Py_buffer view; int held; } Held;
 
@@ -152,6 +157,142 @@ static PyObject *py_count(PyObject *self, PyObject *args)
     return answer;
 }
 
+/* Bytes of a table (row, col, code); 0 if its shape is impossible. */
+static size_t table_bytes(Py_ssize_t rows, Py_ssize_t cols, Py_ssize_t codes, int wide)
+{
+    if (rows < 1 || rows > MAX_SIDE || cols < 1 || cols > MAX_SIDE || codes < 1
+        || codes > (Py_ssize_t)1 << MAX_BITS)
+        return 0;
+    return (size_t)rows * (size_t)cols * (size_t)codes * (wide ? 4 : 2);
+}
+
+static size_t tiles_along(Py_ssize_t pixels)
+{
+    return ((size_t)pixels + SCENE_TILE - 1) / SCENE_TILE;
+}
+
+/* group_counts(histogram, wide, rows, cols, codes, group, leave_first, out) */
+static PyObject *py_group_counts(PyObject *self, PyObject *args)
+{
+    (void)self;
+    PyObject *histogram, *out, *answer = NULL;
+    Py_ssize_t rows, cols, codes, group;
+    int wide, leave_first;
+    if (!PyArg_ParseTuple(args, GROUP_COUNTS_ARGUMENTS, &histogram, &wide, &rows, &cols, &codes,
+                          &group, &leave_first, &out))
+        return NULL;
+    const size_t bytes = table_bytes(rows, cols, codes, wide);
+    if (!bytes || group < 1) {
+        PyErr_SetString(PyExc_ValueError, "group_counts: argument out of range");
+        return NULL;
+    }
+    const size_t groups = ((size_t)codes + (size_t)group - 1) / (size_t)group;
+    Held held[2] = {0};
+    if (hold(&held[0], histogram, "histogram", 0, bytes)
+        && hold(&held[1], out, "out", 1, tiles_along(rows) * tiles_along(cols) * groups * 8)) {
+        GroupCounts g = {
+            .histogram = held[0].view.buf, .rows = (size_t)rows, .cols = (size_t)cols,
+            .codes = (size_t)codes, .group = (size_t)group, .wide = wide,
+            .leave_first = leave_first, .room = malloc((size_t)codes * sizeof(uint64_t)),
+            .out = held[1].view.buf,
+        };
+        if (!g.room)
+            PyErr_NoMemory();
+        else {
+            Py_BEGIN_ALLOW_THREADS
+            group_counts(&g);
+            Py_END_ALLOW_THREADS
+            answer = Py_None;
+            Py_INCREF(answer);
+        }
+        free(g.room);
+    }
+    release(held, 2);
+    return answer;
+}
+
+/* gather(total, total_wide, histogram, histogram_wide, anew, rows, cols, codes, out, out_wide) */
+static PyObject *py_gather(PyObject *self, PyObject *args)
+{
+    (void)self;
+    PyObject *total, *histogram, *anew, *out, *answer = NULL;
+    Py_ssize_t rows, cols, codes;
+    int total_wide, histogram_wide, out_wide;
+    if (!PyArg_ParseTuple(args, GATHER_ARGUMENTS, &total, &total_wide, &histogram,
+                          &histogram_wide, &anew, &rows, &cols, &codes, &out, &out_wide))
+        return NULL;
+    if (!table_bytes(rows, cols, codes, 0) || (total_wide && !out_wide)) {
+        PyErr_SetString(PyExc_ValueError, "gather: argument out of range");
+        return NULL;
+    }
+    Held held[4] = {0};
+    if (hold(&held[0], total, "total", 0, table_bytes(rows, cols, codes, total_wide))
+        && hold(&held[1], histogram, "histogram", 0,
+                table_bytes(rows, cols, codes, histogram_wide))
+        && hold(&held[2], anew, "anew", 0, tiles_along(rows) * tiles_along(cols))
+        && hold(&held[3], out, "out", 1, table_bytes(rows, cols, codes, out_wide))) {
+        Gather g = {
+            .total = held[0].view.buf, .histogram = held[1].view.buf, .anew = held[2].view.buf,
+            .rows = (size_t)rows, .cols = (size_t)cols, .codes = (size_t)codes,
+            .total_wide = total_wide, .histogram_wide = histogram_wide, .out_wide = out_wide,
+            .out = held[3].view.buf,
+        };
+        Py_BEGIN_ALLOW_THREADS
+        gather(&g);
+        Py_END_ALLOW_THREADS
+        answer = Py_None;
+        Py_INCREF(answer);
+    }
+    release(held, 4);
+    return answer;
+}
+
+/* significance(newest, earlier, ratio, rows, cols, groups, size, window, brightness_tolerance,
+ *              shift_tolerance, out) */
+static PyObject *py_significance(PyObject *self, PyObject *args)
+{
+    (void)self;
+    PyObject *newest, *earlier, *ratio, *out, *answer = NULL;
+    Py_ssize_t rows, cols, groups, size, window;
+    double brightness_tolerance, shift_tolerance;
+    if (!PyArg_ParseTuple(args, SIGNIFICANCE_ARGUMENTS, &newest, &earlier, &ratio, &rows, &cols,
+                          &groups, &size, &window, &brightness_tolerance, &shift_tolerance, &out))
+        return NULL;
+    if (!table_bytes(rows, cols, groups, 0) || groups < 2 || size < 1 || window < 1) {
+        PyErr_SetString(PyExc_ValueError, "significance: argument out of range");
+        return NULL;
+    }
+    const size_t tiles = (size_t)rows * (size_t)cols * sizeof(double);
+    const size_t cells = ((size_t)rows + (size_t)size - 1) / (size_t)size
+                         * (((size_t)cols + (size_t)size - 1) / (size_t)size);
+    Held held[4] = {0};
+    if (hold(&held[0], newest, "newest", 0, tiles * (size_t)groups)
+        && hold(&held[1], earlier, "earlier", 0, tiles * (size_t)groups)
+        && hold(&held[2], ratio, "ratio", 0, tiles)
+        && hold(&held[3], out, "out", 1, cells * sizeof(double))) {
+        Comparison c = {
+            .newest = held[0].view.buf, .earlier = held[1].view.buf, .ratio = held[2].view.buf,
+            .rows = (size_t)rows, .cols = (size_t)cols, .groups = (size_t)groups,
+            .size = (size_t)size, .window = (size_t)window,
+            .brightness_tolerance = brightness_tolerance, .shift_tolerance = shift_tolerance,
+            .room = malloc((4 * (size_t)groups + SMOOTHINGS) * sizeof(double)),
+            .out = held[3].view.buf,
+        };
+        if (!c.room)
+            PyErr_NoMemory();
+        else {
+            Py_BEGIN_ALLOW_THREADS
+            compare_cells(&c);
+            Py_END_ALLOW_THREADS
+            answer = Py_None;
+            Py_INCREF(answer);
+        }
+        free(c.room);
+    }
+    release(held, 4);
+    return answer;
+}
+
 static PyObject *py_crc32c(PyObject *self, PyObject *data)
 {
     (void)self;
@@ -171,6 +312,9 @@ static PyObject *py_crc32c(PyObject *self, PyObject *data)
 static PyMethodDef methods[] = {
     {"scan", py_scan, METH_VARARGS, "Find packets in a piece of a byte stream."},
     {"count", py_count, METH_VARARGS, "Count the codes of scanned frames."},
+    {"group_counts", py_group_counts, METH_VARARGS, "Count by tiles and groups of codes."},
+    {"gather", py_gather, METH_VARARGS, "Add a histogram to a sum."},
+    {"significance", py_significance, METH_VARARGS, "Compare counts with earlier ones."},
     {"crc32c", py_crc32c, METH_O, "CRC-32C of a buffer."},
     {NULL, NULL, 0, NULL},
 };

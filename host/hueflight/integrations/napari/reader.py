@@ -171,8 +171,8 @@ def _channel(
     image: str, channel: Xml.Element, values: np.ndarray, scale: tuple[float, float]
 ) -> Layer:
     name = channel.get("Name", "")
-    if "Color" in channel.keys():  # noqa: SIM118 - an element is no mapping
-        packed = int(channel.get("Color", "-1")) % 2**32
+    if color := channel.get("Color"):
+        packed = int(color) % 2**32
         red, green, blue = (packed >> shift & 255 for shift in (24, 16, 8))
         rgb = (red / 255, green / 255, blue / 255)
         return band_layer(values, f"{image} {name}", rgb, scale=scale)

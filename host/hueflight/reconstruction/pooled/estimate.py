@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from hueflight.calibration import Calibration
 from hueflight.errors import HueflightError
-from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction import joint
+from hueflight.reconstruction.conversion_rules import BLIND, LIMIT_NS
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.inputs import PreparedHistogram
 from hueflight.reconstruction.options import EstimatorOptions
@@ -40,6 +40,7 @@ from hueflight.reconstruction.pooled.adaptive_weights import (
     windows_of,
 )
 from hueflight.reconstruction.pooled.detection import without_return
+from hueflight.reconstruction.pooled.empty_edges import settled
 from hueflight.reconstruction.pooled.kernels import (
     Floats,
     Photons,
@@ -119,6 +120,7 @@ def estimate(
     pools = grown(seen, pilot, calibration.usable, tables, search_ns, enough, threads)
     usable = calibration.usable
     absent = without_return(seen, pools, reach, tables, search_ns, threads)
+    absent = settled(seen, pools, absent, usable, tables)
     pools, doubt = pulled(seen, pools, usable, usable & ~absent, tables, search_ns, threads)
     pools, contradicted = refuted(pools, sight, tables, search_ns)
     pooled = _in_metres(
@@ -345,7 +347,7 @@ def _in_metres(
     range_correction: bool,
     pileup_correction: bool,
 ) -> Estimates:
-    along_axis = SPEED_OF_LIGHT_M_PER_NS / 2 * calibration.instrument.ray_cosine()
+    along_axis = calibration.meters_per_ns
     depth = calibration.distance + pools.delays_ns * along_axis
     deviation_ns = np.sqrt(pools.variances)
     known_ns = calibration.pixel_delay_std_ns / np.sqrt(np.maximum(pools.depth_pixels, 1))
@@ -364,8 +366,8 @@ def _in_metres(
     quality = np.zeros(own.shape, np.uint16)
     quality[calibration.dead] |= int(Quality.DEAD)
     quality[calibration.hot] |= int(Quality.HOT)
-    blind_ns = joint.BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
-    low_ns, high_ns = search_ns[0] + joint.LIMIT_NS, search_ns[1] - joint.LIMIT_NS
+    blind_ns = BLIND * (search_ns[1] - search_ns[0]) / np.sqrt(12)
+    low_ns, high_ns = search_ns[0] + LIMIT_NS, search_ns[1] - LIMIT_NS
     outside = (pools.delays_ns <= low_ns) | (pools.delays_ns >= high_ns)
     # a reference at the distance 0 does not tell where the camera is
     outside |= (calibration.distance > 0) & (depth <= 0)

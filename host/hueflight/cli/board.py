@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `hueflight board`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from hueflight.cli.exit_codes import FAILED
+from hueflight.cli.output import print_notice, show
+from hueflight.devices.clock_choice import ClockName
+from hueflight.devices.errors import DeviceError
+from hueflight.devices.illuminator import open_illuminator
+from hueflight.devices.selftest import WORDS, SelfTestResult, run_selftest
+
+
+def board(
+    action: Literal["selftest", "clock"],
+    port: str,
+    /,
+    *,
+    source: ClockName | None = None,
+    baud: int | None = None,
+    leds: Annotated[bool, Parameter(negative="--no-leds")] = True,
+    dwell: float = 0.5,
+    words: int = WORDS,
+    record: Path | None = None,
+    json: bool = False,
+) -> int:
+    """Test an illuminator on the bench, or choose the clock that it runs from.
+
+    The test covers clock, line, each LED, and the watchdog. LEDs fire one after another, for 10 ns
+    in every 82 µs or longer. The exit code is 1 if a test fails. The clock is the board's
+    oscillator or an external one; a change disarms the board.
+
+    Parameters
+    ----------
+    action : str
+        What to do: selftest, or clock.
+    port : str
+        Serial port of the illuminator, such as /dev/ttyUSB0.
+    source : {"internal", "external"}, optional
+        Clock to run from, with the action clock; by default the clock is only shown.
+    baud : int, optional
+        Line rate in bits per second. By default it is found by asking the board.
+    leds : bool, default True
+        Whether LEDs may fire; without, the walk and the watchdog are left out.
+    dwell : float, default 0.5
+        Shortest time for which each LED fires, in seconds.
+    words : int, default 2000
+        Number of words that are sent to the board and back.
+    record : Path, optional
+        Write all transactions with the board to this file, as JSON lines.
+    json : bool, default False
+        Print one JSON object instead of a table.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    if words < 1 or dwell < 0:
+        raise DeviceError(f"--words {words} --dwell {dwell:g}: must be at least 1 word and 0 s")
+    if source is not None and action != "clock":
+        raise DeviceError(f"--source {source}: belongs to `hueflight board clock`")
+    if action == "clock":
+        return _clock(port, source, baud=baud, record=record, json=json)
+    illuminator = open_illuminator(port, baud=baud, record=record)
+    try:
+        results = run_selftest(
+            illuminator,
+            leds=leds,
+            words=words,
+            dwell_s=dwell,
+            tell=lambda result: _tell(result, quiet=json),
+        )
+    finally:
+        illuminator.close()
+    passed = all(result.passed for result in results)
+    identity = illuminator.identity
+    values = {
+        "board": f"{identity.board} {identity.serial}, gateware {identity.firmware}",
+        "passed": passed,
+        "tests": [result.as_dict() for result in results]
+        if json
+        else f"{sum(result.passed for result in results)} of {len(results)} passed",
+    }
+    show(f"Self-test of {port}", values, json_wanted=json)
+    return 0 if passed else FAILED
+
+
+def _clock(
+    port: str, source: ClockName | None, *, baud: int | None, record: Path | None, json: bool
+) -> int:
+    """Choose a clock, or only show which one is in use."""
+    illuminator = open_illuminator(port, baud=baud, record=record)
+    try:
+        state = illuminator.clock() if source is None else illuminator.choose_clock(source)
+    finally:
+        illuminator.close()
+    show(f"Clock of {port}", asdict(state), json_wanted=json)
+    return 0
+
+
+def _tell(result: SelfTestResult, *, quiet: bool) -> None:
+    if not quiet:
+        verdict = "passed" if result.passed else "FAILED"
+        print_notice(f"{result.name}: {verdict}: {result.measured} (bound: {result.bound})")

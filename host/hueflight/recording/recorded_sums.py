@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sums in recordings: the tables that they were made with, and their totals."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hueflight.errors import RecordingError
+from hueflight.recording.reader import Recording
+from hueflight_protocol import PacketParser, PictureAssembler, Sums, SumsPicture
+from hueflight_protocol.errors import ProtocolError
+from hueflight_protocol.reduction import MOST_SUM_BITS, ReductionTables, offsets_hash
+
+ATTACHMENT = "sums_tables.npz"
+
+
+@dataclass(frozen=True, eq=False)
+class SumsDescription:
+    """What the sums of a recording were made with.
+
+    Attributes
+    ----------
+    tables : ReductionTables
+        Tables of the reduction.
+    offsets : ndarray of int, shape (row, col)
+        Offset of each pixel in the tables, codes.
+    middle_ns, reach_ns : float
+        Delays that the tables are designed for, as `hueflight.reconstruction.SumsDesign` has them.
+    """
+
+    tables: ReductionTables
+    offsets: NDArray[np.int64]
+    middle_ns: float
+    reach_ns: float
+
+    def to_bytes(self) -> bytes:
+        """Return the content of the attachment.
+
+        Returns
+        -------
+        bytes
+            An NPZ file.
+        """
+        file = io.BytesIO()
+        np.savez_compressed(
+            file,
+            entries=self.tables.entries,
+            widths=np.array(self.tables.widths, np.uint8),
+            codes=np.array([self.tables.first, self.tables.last], np.uint16),
+            offsets=self.offsets.astype(np.int8),
+            delays_ns=np.array([self.middle_ns, self.reach_ns]),
+        )
+        return file.getvalue()
+
+    @classmethod
+    def from_bytes(cls, content: bytes, /, *, where: str) -> SumsDescription:
+        """Read the attachment.
+
+        Parameters
+        ----------
+        content : bytes
+            Its content.
+        where : str
+            Where it stood, for errors.
+
+        Returns
+        -------
+        SumsDescription
+            What it says.
+
+        Raises
+        ------
+        RecordingError
+            If it is damaged.
+        """
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                first, last = (int(code) for code in file["codes"])
+                widths = tuple(int(width) for width in file["widths"])
+                middle_ns, reach_ns = (float(delay) for delay in file["delays_ns"])
+                tables = ReductionTables(file["entries"], widths, first, last)
+                return cls(tables, file["offsets"].astype(np.int64), middle_ns, reach_ns)
+        except (ValueError, KeyError, OSError, BadZipFile, ProtocolError) as error:
+            raise RecordingError(f"{where}: {ATTACHMENT} can't be read: {error}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedSums:
+    """Totals of the sums of a recording.
+
+    Attributes
+    ----------
+    values : ndarray of uint64, shape (row, col, sum)
+        Totals over all pictures; the greatest value of 32 bits where a sum was saturated.
+    frames : ndarray of int, shape (row, col)
+        Frames behind them: fewer where a part of a picture is missing.
+    description : SumsDescription
+        What the sums were made with; the widths are those of the totals, 32 bits.
+    pictures : int
+        Pictures of which at least a part is there.
+    losses : dict of int
+        Packets that are damaged or missing and frames that the camera could not add, by kind,
+        without those that are 0.
+    """
+
+    values: NDArray[np.uint64]
+    frames: NDArray[np.int64]
+    description: SumsDescription
+    pictures: int
+    losses: dict[str, int]
+
+
+def holds_recorded_sums(recording: Recording, /) -> bool:
+    """Tell whether a recording holds sums and the tables that they were made with.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    bool
+        True if it does.
+    """
+    return ATTACHMENT in recording.info().attachments
+
+
+def read_sums(recording: Recording, /) -> RecordedSums:
+    """Add up the sums of all pictures of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    RecordedSums
+        Totals.
+
+    Raises
+    ------
+    RecordingError
+        If it holds no sums, or such that were made with other tables than those attached.
+    """
+    if not holds_recorded_sums(recording):
+        raise RecordingError(f"{recording.path} holds no sums: it was recorded as codes")
+    described = SumsDescription.from_bytes(
+        recording.attachment(ATTACHMENT), where=str(recording.path)
+    )
+    tables, offsets = described.tables, described.offsets
+    stated = tables.hash, offsets_hash(offsets.reshape(-1)), tables.widths
+    values = np.zeros((*offsets.shape, tables.sums), np.uint64)
+    frames = np.zeros(offsets.shape, np.int64)
+    saturated = np.zeros(offsets.shape, bool)
+    parser, assembler = PacketParser(keep_damage=0), PictureAssembler()
+    pictures = missed = 0
+
+    def add(picture: SumsPicture | None) -> None:
+        nonlocal pictures, missed
+        if picture is None:
+            return
+        first = picture.first
+        if (first.tables, first.offsets, first.widths) != stated:
+            raise RecordingError(
+                f"{recording.path}: picture {first.picture} has sums of other tables "
+                f"({first.tables:#010x}) than those attached ({tables.hash:#010x})"
+            )
+        pictures, missed = pictures + 1, missed + first.missed
+        values[...] += picture.values
+        frames[picture.present] += first.frames
+        saturated[(picture.values == tables.limits).any(axis=-1)] = True
+
+    for piece in recording.raw():
+        for packet in parser.feed(piece):
+            if isinstance(packet.content, Sums):
+                add(assembler.feed(packet.content))
+    add(assembler.finish())
+    most = (1 << MOST_SUM_BITS) - 1
+    np.minimum(values, most, out=values)
+    values[saturated] = most
+    wide = ReductionTables(
+        tables.entries, (MOST_SUM_BITS,) * tables.sums, tables.first, tables.last
+    )
+    report = parser.report
+    losses = {"damaged": report.damaged, "missing": report.missing, "dropped": missed}
+    return RecordedSums(
+        values,
+        frames,
+        SumsDescription(wide, offsets, described.middle_ns, described.reach_ns),
+        pictures,
+        {kind: count for kind, count in losses.items() if count},
+    )

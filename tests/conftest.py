@@ -11,6 +11,15 @@ from pathlib import Path
 
 import pytest
 
+try:
+    from hypothesis import settings
+except ImportError:  # the environment of other programs runs no property tests
+    pass
+else:
+    # No test may depend on the speed of the machine, and a failure must come again.
+    settings.register_profile("hueflight", deadline=None, derandomize=True)
+    settings.load_profile("hueflight")
+
 ROOT = Path(__file__).resolve().parent.parent
 REAL_DATA = ROOT.parent / "shared" / "data"
 MAY_LACK = (  #: beginnings of the reasons for which CI may skip

@@ -113,6 +113,7 @@ def programs(arguments: list[str]) -> None:
     checker = str(ROOT / "tools" / "check_docstrings.py")
     run([str(python), checker, str(ROOT / "host" / "hueflight" / "integrations")])
     tests = ["tests/host/integrations", "tests/host/export/test_independent_readers.py"]
+    tests += ["tests/host/batch/test_object_store.py"]
     tests += ["-p", "no:cacheprovider", *arguments]
     run([str(python), "-m", "pytest", *tests], HUEFLIGHT_PROGRAMS="1", QT_QPA_PLATFORM="offscreen")
 

@@ -78,7 +78,7 @@ def summary(found: list[FaultResult], command: str) -> str:
     if times:
         late = sum(seconds > LATE_S for seconds in times)
         rows += [
-            ("faults that `/health` must tell of", f"{len(times)}, all told"),
+            ("faults that `/health` has told of", len(times)),
             (
                 "time until it told: median, 99 %, longest",
                 f"{times[len(times) // 2]:.2f}, {times[int(0.99 * len(times))]:.2f}, "

@@ -7,17 +7,21 @@
     python tools/mutate.py page                   write docs/project/mutation.md from the results
 
 Each mutant is one change of one source file, in a copy of the repository. The tests that judge it
-are those of `mutation/suites.toml`, the quickest first. A mutant that no test notices has survived,
-unless it gives the same netlists as the original or `mutation/equivalent.toml` states why it does
-the same.
+are those of `mutation/suites.toml`, the quickest first; the first failure ends its judgment. What
+tests take without a mutant is measured when they are first needed, and kept for the next run. A
+mutant that no test notices has survived, unless it gives the same netlists as the original or
+`mutation/equivalent.toml` states why it does the same.
+
+The sample is a simple random one: mutants come in the order of a hash of their keys with the seed,
+so that a longer sample begins with the shorter one, also after other parts of the sources changed.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
-import random
 import resource
 import shlex
 import shutil
@@ -25,13 +29,16 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import zip_longest
+from itertools import takewhile
 from pathlib import Path
+from typing import TypeVar
 
 from mutation.operators import Mutant, mutants_of
 from mutation.page import write_page
 
+T = TypeVar("T")
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = ROOT / "hdl" / "hueflight_hdl"
 HERE = Path(__file__).parent / "mutation"
@@ -76,13 +83,19 @@ def read_suites() -> list[Suite]:
 
 
 def sample(suites: list[Suite], *, seed: int) -> list[tuple[Suite, Mutant]]:
-    """Return all mutants in random order, the suites in turn, so that samples grow at their end."""
-    drawn = []
-    for suite in suites:
-        mutants = [mutant for path in suite.files for mutant in mutants_of(ROOT, path)]
-        random.Random(f"{seed} {suite.name}").shuffle(mutants)
-        drawn.append([(suite, mutant) for mutant in mutants])
-    return [pair for turn in zip_longest(*drawn) for pair in turn if pair is not None]
+    """Return all mutants in random order; a sample is the beginning of it."""
+    every = [
+        (suite, mutant)
+        for suite in suites
+        for path in suite.files
+        for mutant in mutants_of(ROOT, path)
+    ]
+    return sorted(every, key=lambda pair: _rank(pair[1], seed))
+
+
+def _rank(mutant: Mutant, seed: int) -> bytes:
+    """Return the place of a mutant in the random order; no change of other mutants moves it."""
+    return hashlib.sha256(f"{seed} {mutant.key}".encode()).digest()
 
 
 class Workplace:
@@ -100,7 +113,6 @@ class Workplace:
         self.tree = folder / "tree"
         self.cache = folder / "cache"
         self.prefix = prefix
-        self.baseline: dict[tuple[str, ...], float] = {}
         for name in COPIED:
             source, target = ROOT / name, self.tree / name
             if source.is_dir():
@@ -109,36 +121,60 @@ class Workplace:
             else:
                 shutil.copyfile(source, target)
         self.cache.mkdir(parents=True, exist_ok=True)
-        self.netlists = self._netlists()
+        self.baselines = folder / "baselines.json"
+        self.version = _digest(self.tree)
 
     def judge(self, suite: Suite, mutant: Mutant) -> tuple[str, str]:
         """Return what became of a mutant, and the run that noticed it."""
-        for tests in suite.tests:
-            if tests not in self.baseline:
-                before = _seconds_of_children()
-                if not self._passes(tests, limit=None):
-                    raise SystemExit(f"{' '.join(tests)}: fails without a mutant")
-                self.baseline[tests] = _seconds_of_children() - before
         path = self.tree / mutant.path
         original = path.read_bytes()
-        kept = set(self.cache.rglob("*"))
-        try:
+        for tests in suite.tests:
+            limit = 60 + SLACK * self._seconds(tests)
+            kept = set(self.cache.rglob("*"))
             path.write_bytes(mutant.apply(original))
-            for tests in suite.tests:
-                if not self._passes(tests, limit=60 + SLACK * self.baseline[tests]):
+            try:
+                if not self._passes(tests, limit=limit):
                     return "killed", " ".join(tests)
-            same = self._netlists() == self.netlists
-            return ("same netlist" if same else "survived"), ""
+            finally:
+                path.write_bytes(original)
+                for made in set(self.cache.rglob("*")) - kept:
+                    if made.is_file():
+                        made.unlink()
+        original_netlists = self._once("netlists", self._netlists)
+        if not original_netlists:
+            raise SystemExit("the netlists cannot be made without a mutant")
+        path.write_bytes(mutant.apply(original))
+        try:
+            return ("same netlist" if self._netlists() == original_netlists else "survived"), ""
         finally:
             path.write_bytes(original)
-            for made in set(self.cache.rglob("*")) - kept:
-                if made.is_file():
-                    made.unlink()
+
+    def _seconds(self, tests: tuple[str, ...]) -> float:
+        """Return the processor time of a run of tests without a mutant, measured once."""
+
+        def measure() -> float:
+            before = _seconds_of_children()
+            if not self._passes(tests, limit=None):
+                raise SystemExit(f"{' '.join(tests)}: fails without a mutant")
+            return _seconds_of_children() - before
+
+        return self._once(" ".join(tests), measure)
+
+    def _once(self, name: str, measure: Callable[[], T]) -> T:
+        """Return what is the same for all mutants of these sources, from an earlier run or now."""
+        known = json.loads(self.baselines.read_text()) if self.baselines.exists() else {}
+        place = f"{self.version} {name}"
+        if place not in known:
+            known[place] = measure()
+            self.baselines.write_text(json.dumps(known, indent=1))
+        return known[place]
 
     def _passes(self, tests: tuple[str, ...], *, limit: float | None) -> bool:
         """Whether a run of tests passes; one that uses too much processor time does not."""
         bound = "" if limit is None else f"ulimit -t {round(limit)}; "
-        pytest = (sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests)
+        # processor time bounds a run, not the clock: others may need the machine
+        options = ("-x", "-q", "-p", "no:cacheprovider", "--timeout", "0")
+        pytest = (sys.executable, "-m", "pytest", *options, *tests)
         words = [*self.prefix, "sh", "-c", f"{bound}exec {shlex.join(pytest)}"]
         return self._run(words).returncode == 0
 
@@ -159,6 +195,15 @@ class Workplace:
         return subprocess.run(
             words, cwd=self.tree, env=environment, capture_output=True, text=True, check=False
         )
+
+
+def _digest(tree: Path) -> str:
+    """Return a digest of the sources and tests in a copy of the repository."""
+    digest = hashlib.sha256()
+    for name in ("hdl", "protocol", "host", "tests/hdl", "tests/support"):
+        for path in sorted((tree / name).rglob("*.py")):
+            digest.update(path.relative_to(tree).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _seconds_of_children() -> float:
@@ -221,13 +266,12 @@ def list_mutants(arguments: argparse.Namespace) -> None:
 
 
 def make_page(arguments: argparse.Namespace) -> None:
-    """Write the page of results for mutants that the present sources still have."""
-    present = {
-        m.key for suite in read_suites() for path in suite.files for m in mutants_of(ROOT, path)
-    }
-    results = [r for key, r in read_results(arguments.results).items() if key in present]
+    """Write the page of results: of the sample as far as it is judged without a gap."""
+    order = [mutant.key for _, mutant in sample(read_suites(), seed=arguments.seed)]
+    known = read_results(arguments.results)
+    results = [known[key] for key in takewhile(known.__contains__, order)]
     reasons = tomllib.loads((HERE / "equivalent.toml").read_text())
-    page = write_page(results, reasons, total=len(present), seed=arguments.seed)
+    page = write_page(results, reasons, total=len(order), seed=arguments.seed)
     (ROOT / "docs" / "project" / "mutation.md").write_text(page)
 
 
@@ -243,11 +287,25 @@ def main() -> None:
         "--minutes", type=float, default=1e6, help="begin no mutant after this time"
     )
     parser.add_argument(
-        "--again", action="append", default=[], help="judge results with this status anew"
+        "--again",
+        action="append",
+        choices=("killed", "survived", "same netlist"),
+        default=[],
+        help="judge results with this status anew; may be repeated",
     )
     parser.add_argument("--prefix", default="nice", help="command in front of each run of tests")
-    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "mutation")
-    parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results" / "mutants.jsonl")
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=ROOT / "build" / "mutation",
+        help="where the copy of the repository and the cache are made",
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=ROOT / "docs" / "results" / "mutants.jsonl",
+        help="file of results, one line of JSON for each",
+    )
     arguments = parser.parse_args()
     {"list": list_mutants, "run": judge_sample, "page": make_page}[arguments.action](arguments)
 

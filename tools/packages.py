@@ -11,6 +11,7 @@ gcc-aarch64-linux-gnu). auditwheel finds out on which systems a wheel runs, and 
 from __future__ import annotations
 
 import argparse
+import fcntl
 import os
 import platform
 import subprocess
@@ -32,8 +33,16 @@ def compiler(architecture: str) -> str:
 
 
 def build_source_archive(out: Path) -> Path:
-    """Build the source archive of this checkout and return its path."""
-    _run("-m", "build", "--sdist", "--no-isolation", "--outdir", out, ROOT)
+    """Build the source archive of this checkout and return its path.
+
+    Setuptools gathers the files in a folder of the checkout, which only one may do at a time.
+    """
+    checkout = os.open(ROOT, os.O_RDONLY)
+    try:
+        fcntl.flock(checkout, fcntl.LOCK_EX)
+        _run("-m", "build", "--sdist", "--no-isolation", "--outdir", out, ROOT)
+    finally:
+        os.close(checkout)
     return _newest(out, "*.tar.gz")
 
 

@@ -237,6 +237,7 @@ BLOCKS: dict[str, Callable[[], str]] = {
     "packet trailer": lambda: fields(wire.PACKET_TRAILER),
     "event body": lambda: fields(wire.EVENT_BODY),
     "status body": lambda: fields(wire.STATUS_BODY),
+    "sums body": lambda: fields(wire.SUMS_BODY),
     "test body": lambda: fields(wire.TEST_BODY),
     "control header": lambda: fields(control.CONTROL_HEADER),
     "flags": lambda: names(wire.FrameFlags, FLAG_MEANINGS),
@@ -256,13 +257,18 @@ REGISTERS_HEAD = """\
 32-bit words and are the same in every build; registers beyond the size of a build are absent.
 Fields are listed with their bits, name and meaning. Bits outside of fields read as 0. Reset values
 are 0 unless stated otherwise; those of `const` registers are the values of the build shown here.
+Registers whose names begin with `reduction` exist only in builds that can reduce codes to sums.
 """
 
 
 def registers_document() -> str:
     """Return docs/registers.md."""
     parts = [REGISTERS_HEAD]
-    for registers in (hp.illuminator_map(), hp.camera_map()):
+    boards = (
+        hp.illuminator_map(external_clock=True),
+        hp.camera_map(reduction=hp.ReductionRoom()),
+    )
+    for registers in boards:
         size = "nine channels" if registers.name == "illuminator" else "192 × 128 pixels"
         parts.append(f"## {registers.name.capitalize()} ({size})\n")
         parts.append(register_table(registers) + "\n")

@@ -23,32 +23,47 @@ from typing import Any
 from playwright.sync_api import Browser, Page, sync_playwright
 
 import hueflight as hf
-from hueflight.simulator import simulate_capture
+from hueflight.recording.writer import RecordingWriter
+from hueflight.simulator import scene, simulate_capture, simulate_packets
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 LONGEST_S = 400  #: then all is given up
 PATIENCE_S = 90.0
 CONFIG = """
+name = "bench-1"
 data = "{data}"
 simulate = true
 [server]
 port = 0
 """
+#: of a second daemon, shown beside the first one
+OTHER = """
+name = "bench-2"
+data = "{data}"
+rig = "simulated:colorchecker"
+[server]
+port = 0
+[[cameras]]
+address = "{url}"
+"""
 FLAGS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"]
-#: file, key of the view, colour scheme, width and height, keys that choose a pixel
+#: whether all tiles of the page of cameras show new pictures
+NEW = "() => [...document.querySelectorAll('.tile .stale')].every(each => !each.textContent)"
+#: file, key of the view, colour scheme, width and height, keys; "play" plays a recording
 SHOTS = (
-    ("daemon-depth", "1", "dark", (1366, 900), ("ArrowRight", "Shift+ArrowUp")),
+    ("daemon-depth", "1", "dark", (1366, 900), ("Shift+ArrowRight", "Shift+ArrowUp")),
     ("daemon-bands", "3", "light", (1366, 900), ("Shift+ArrowDown", "Shift+ArrowRight")),
     ("daemon-points", "4", "dark", (1366, 900), ()),
     ("daemon-phone", "2", "light", (390, 844), ("ArrowRight",)),
+    ("daemon-player", "1", "light", (1366, 900), ("l", "play", "End", "ArrowRight")),
 )
 
 
 @contextlib.contextmanager
-def daemon(folder: Path) -> Iterator[str]:
+def daemon(folder: Path, text: str = CONFIG, **values: str) -> Iterator[str]:
     """A running daemon's address."""
     config = folder / "daemon.toml"
-    config.write_text(CONFIG.format(data=folder / "data"))
+    config.write_text(text.format(data=folder / "data", **values))
     command = "from hueflight.cli import main; main()"
     with (folder / "log").open("wb") as log:
         process = subprocess.Popen(
@@ -77,6 +92,18 @@ def calibrate(folder: Path) -> None:
     hf.calibrate(reference, instrument, distance=0.4).save(kept / "calibration.zarr")
 
 
+def record(folder: Path) -> None:
+    """Put a recording of twelve seconds into the folder, to be played."""
+    instrument = hf.Instrument.load("paper")
+    path = folder / "data" / "recordings" / "vase.mcap"
+    path.parent.mkdir(parents=True)
+    notes = {"capture": "scene", "simulated": True}
+    with RecordingWriter(path, instrument, metadata=notes) as writer:
+        looked_at = scene("fig1", instrument)
+        for packet in simulate_packets("scene", instrument, frames=6000, scene=looked_at, seed=6):
+            writer.write(packet)
+
+
 def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
     """Open the page, choose what to see, and keep it as a picture."""
     name, key, scheme, (width, height), keys = shot
@@ -89,7 +116,13 @@ def take(browser: Browser, url: str, shot: tuple[Any, ...]) -> None:
     page.focus("#view")
     page.keyboard.press(key)
     for pressed in keys:
-        page.keyboard.press(pressed)
+        if pressed == "play":
+            page.click("[data-name=vase] button:text('Play')")
+            page.wait_for_selector("#player", state="visible")
+            page.select_option("#span", "10")
+            page.focus("#view")
+        else:
+            page.keyboard.press(pressed)
     if keys:
         page.wait_for_function(
             "() => document.querySelector('#pixel-note').textContent.includes('photons in')"
@@ -108,6 +141,7 @@ def main() -> None:
     wanted = sys.argv[1:]
     with tempfile.TemporaryDirectory(prefix="hueflight-shots-") as folder:
         calibrate(Path(folder))
+        record(Path(folder))
         shoot(Path(folder), wanted, chromium)
 
 
@@ -120,7 +154,34 @@ def shoot(folder: Path, wanted: list[str], chromium: str) -> None:
         for shot in SHOTS:
             if not wanted or shot[0] in wanted:
                 take(browser, url, shot)
+        if not wanted or "daemon-cameras" in wanted:
+            take_cameras(browser, url, folder)
         browser.close()
+
+
+def take_cameras(browser: Browser, url: str, folder: Path) -> None:
+    """Keep a picture of the page of two cameras."""
+    other = folder / "other"
+    shutil.copytree(folder / "data" / "calibrations", other / "data" / "calibrations")
+    with daemon(other, OTHER, url=url) as second:
+        context = browser.new_context(viewport={"width": 1366, "height": 470}, color_scheme="dark")
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE_S * 1e3)
+        page.goto(f"{second}/cameras.html")
+        page.wait_for_function(
+            "() => [...document.querySelectorAll('.tile .pill')].filter("
+            "each => each.textContent === 'live').length === 2"
+        )
+        page.wait_for_timeout(15_000)  # photons add up
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            page.wait_for_function(NEW)
+            page.screenshot(path=IMAGES / "daemon-cameras.png", timeout=PATIENCE_S * 1e3)
+            if page.evaluate(NEW):
+                break  # it shows no older ones, since there were new ones before and after
+            if time.monotonic() > deadline:
+                raise SystemExit("the machine is too busy for pictures of two cameras")
+        context.close()
 
 
 if __name__ == "__main__":

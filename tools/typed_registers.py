@@ -14,7 +14,7 @@ import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
-from hueflight_protocol import camera_map, illuminator_map
+from hueflight_protocol import ReductionRoom, camera_map, illuminator_map
 from hueflight_protocol.registers import Field, Register, RegisterMap
 
 FOLDER = (
@@ -24,12 +24,30 @@ WIDTH = 100
 #: two builds that differ in everything a build may choose: what they share holds for all builds
 BUILDS = {
     "camera": (
-        camera_map(),
-        camera_map(rows=1024, cols=1024, code_bits=16, lanes=16, run=64, geometry=1, clock_hz=1),
+        camera_map(reduction=ReductionRoom()),
+        camera_map(
+            rows=1024,
+            cols=1024,
+            code_bits=16,
+            lanes=16,
+            run=64,
+            geometry=1,
+            clock_hz=1,
+            reduction=ReductionRoom(sums=1, entry_bits=1, sum_bits=1, group=4),
+        ),
     ),
     "illuminator": (
-        illuminator_map(),
-        illuminator_map(channels=32, pulses=1, steps=1, lanes=8, tick_fs=1, clock_hz=1),
+        illuminator_map(external_clock=True),
+        illuminator_map(
+            channels=32,
+            pulses=1,
+            steps=1,
+            lanes=8,
+            tick_fs=1,
+            clock_hz=1,
+            external_clock=True,
+            reference_hz=1,
+        ),
     ),
 }
 HEAD = '''\

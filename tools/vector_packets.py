@@ -125,11 +125,17 @@ def other_packets() -> Iterator[Vector]:
     stream = Stream("A test packet with wrong words under a right CRC: intact, errors counted.")
     stream.test(hp.PatternKind.COUNTER, 5, 16, wrong=2)
     yield stream.finished("test-pattern-errors")
-    stream = Stream("Reserved types: histogram, an unknown type with a longer header, no body.")
-    stream.opaque(hp.PacketType.HISTOGRAM, bytes(range(11)))
+    stream = Stream("Reserved types: the first, an unknown type with a longer header, no body.")
+    stream.opaque(6, bytes(range(11)))
     stream.opaque(200, b"later", header_bytes=48)
     stream.opaque(255, b"")
     yield stream.finished("opaque-types")
+    stream = Stream("Sums: two packets of a picture, widths from 1 to 32 bits, saturated pixels.")
+    stream.sums((3, 5), 0, 9, (1, 9, 32, 7, 12), picture=4, frames=620, photons=1 << 40)
+    stream.sums((3, 5), 9, 6, (1, 9, 32, 7, 12), picture=4, frames=620, photons=1 << 40)
+    stream.sums((1, 1), 0, 1, (16,), frames=1, missed=2, offsets=3, flags=hp.FrameFlags.MASKED)
+    stream.sums((1024, 1024), 1_048_570, 6, (20,) * 32, code_bits=16, periods=168)
+    yield stream.finished("sums")
 
 
 def streams() -> Iterator[Vector]:
@@ -141,7 +147,7 @@ def streams() -> Iterator[Vector]:
     stream.status(frames_sent=1)
     stream.frame(codes[1], step=1)
     stream.test(hp.PatternKind.XORSHIFT, 9, 4)
-    stream.opaque(hp.PacketType.HISTOGRAM, b"counts")
+    stream.opaque(6, b"counts")
     yield stream.finished("stream-all-types")
     for name, run, about in (
         ("first", 0, "A frame aborted before its first run."),

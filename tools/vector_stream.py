@@ -136,6 +136,46 @@ class Stream:
         self._expect(packet, "test", asdict(header) | content)
         self.data += packet
 
+    def sums(
+        self,
+        shape: tuple[int, int],
+        first: int,
+        pixels: int,
+        widths: tuple[int, ...],
+        **values: Any,
+    ) -> None:
+        """Add a packet of sums, which are random but for saturated ones in the last pixel."""
+        header = self._header()
+        raw = np.random.Philox(key=first + pixels).random_raw(pixels * len(widths))
+        limits = np.array([(1 << width) - 1 for width in widths], np.uint64)
+        sums = raw.reshape(pixels, -1) % limits
+        sums[-1] = limits
+        given: dict[str, Any] = {
+            "widths": widths,
+            "picture": 0,
+            "first_pixel": first,
+            "rows": shape[0],
+            "cols": shape[1],
+            "frames": 5,
+            "missed": 0,
+            "photons": 0,
+            "tables": 0x1234_5678,
+            "offsets": 0,
+            "periods": 3125,
+            "code_bits": 9,
+            "flags": hp.FrameFlags.NONE,
+            **values,
+        }
+        packet = hp.encode_sums(hp.Sums(header=header, values=sums.astype(np.uint32), **given))
+        content = given | {
+            "widths": list(widths),
+            "flags": int(given["flags"]),
+            "saturated": 1,
+            "values": sums.tolist(),
+        }
+        self._expect(packet, "sums", asdict(header) | content)
+        self.data += packet
+
     def opaque(self, kind: int, body: bytes, *, header_bytes: int = 32) -> None:
         """Add a packet of a type that version 1 does not interpret."""
         header = self._header()

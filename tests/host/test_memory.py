@@ -11,6 +11,7 @@ import pytest
 
 import hueflight as hf
 from hueflight import memory
+from hueflight.calibration import procedure, waveform_estimation
 from hueflight.errors import HueflightError, MemoryLimitError
 from hueflight.fit import packing, tables
 from hueflight.fit.tables import ScheduleView
@@ -98,3 +99,67 @@ def test_a_calibration_is_refused_before_it_begins(monkeypatch, small, draw):
     monkeypatch.setenv(memory.LIMIT_NAME, "100 kB")
     with pytest.raises(MemoryLimitError, match=r"the calibration of .* pixels"):
         hf.calibrate(reference, instrument, distance=0.5)
+
+
+@pytest.mark.parametrize("code_zero", ["bin", "no photon"])
+def test_estimate_of_a_calibration_covers_what_it_takes(monkeypatch, small, draw, code_zero):
+    """At one photon in each exposure of every second kind, losses to pile-up are corrected too."""
+    instrument = small(rows=64, cols=96, code_zero=code_zero)
+    reference = draw(instrument, photons=3000).astype(np.uint16)
+    if code_zero == "no photon":
+        reference[..., 0] = reference[..., 1:].sum(axis=-1).max() + 100
+    hf.calibrate(reference, instrument, distance=0.5)  # loads what is loaded once
+    estimates = []
+    monkeypatch.setattr(
+        procedure, "require_memory", lambda needed, *_, **__: estimates.append(needed)
+    )
+    monkeypatch.setattr(waveform_estimation, "POOLED_BYTES", reference.nbytes // 20)
+    tracemalloc.start()
+    hf.calibrate(reference, instrument, distance=0.5)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < estimates[0] < 2 * peak
+
+
+def lack_memory(*_, **__):
+    raise MemoryError
+
+
+@pytest.mark.parametrize("method", ["joint", "paper"])
+def test_a_reconstruction_that_runs_out_of_memory(monkeypatch, small, method):
+    """Its error is Hueflight's and Python's, and there is nothing wrong with the next one."""
+    instrument = small(rows=4, cols=4)
+    counts = np.zeros(instrument.histogram_shape, np.uint16)
+    counts[..., 100:140] = 30
+    calibration = hf.calibrate(
+        hf.simulator.simulate_capture("reference", instrument, frames=20000, seed=2),
+        instrument,
+        distance=0.4,
+    )
+    expected = hf.reconstruct(counts, calibration, method=method)
+    with monkeypatch.context() as patch:
+        patch.setattr("hueflight.reconstruction.entry_point.as_image", lack_memory)
+        with pytest.raises(
+            MemoryLimitError, match=r"memory is exhausted: the reconstruction was given up\. Recon"
+        ):
+            hf.reconstruct(counts, calibration, method=method)
+    assert hf.reconstruct(counts, calibration, method=method).identical(expected)
+
+
+def test_a_refusal_keeps_its_own_words():
+    with (
+        pytest.raises(MemoryLimitError, match=r"^too much$"),
+        memory.within_memory("x", advice="y"),
+    ):
+        raise MemoryLimitError("too much")
+
+
+def test_the_command_line_says_so(monkeypatch, capsys):
+    from hueflight.cli import app
+
+    monkeypatch.setattr(app, "application", lack_memory)
+    with pytest.raises(SystemExit) as ended:
+        app.main(["info", "x"])
+    assert ended.value.code == 1
+    said = capsys.readouterr().err
+    assert "memory is exhausted: end other programs, or work on less at a time" in said

@@ -84,3 +84,14 @@ def _debugging_address(folder: Path, process: subprocess.Popen[bytes], log: Path
             raise AssertionError(f"the browser did not start:\n{log.read_text()[-2000:]}")
         time.sleep(0.05)
     return f"http://127.0.0.1:{told.read_text().splitlines()[0]}"
+
+
+def wait(page: Any, selector: str, text: str) -> None:
+    """Until the element says `text`.
+
+    A function, not an expression: Playwright evaluates an expression again at every look, which
+    the page's Content-Security-Policy refuses from the second on.
+    """
+    page.wait_for_function(
+        "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
+    )

@@ -10,13 +10,19 @@ from pathlib import Path
 from support.daemon_process import Daemon
 
 
-def small_instrument(folder: Path) -> Path:
-    """The instrument as a TOML file: the same field of view with larger pixels."""
+def small_instrument(folder: Path, *, rows: int = 24, cols: int = 16, **sensor: float) -> Path:
+    """The instrument as a TOML file: the same field of view with larger pixels.
+
+    `sensor` are other entries of that table, such as ``frame_rate_hz``.
+    """
     text = (resources.files("hueflight.model") / "presets" / "paper.toml").read_text("utf-8")
-    text = re.sub(r"(?m)^rows = 192$", "rows = 24", text)
-    text = re.sub(r"(?m)^cols = 128$", "cols = 16", text)
-    text = text.replace("pixel_width_um = 18.4", "pixel_width_um = 147.2")
-    text = text.replace("pixel_height_um = 9.2", "pixel_height_um = 73.6")
+    entries = {
+        "rows": rows, "cols": cols, "pixel_width_um": round(18.4 * 128 / cols, 6),
+        "pixel_height_um": round(9.2 * 192 / rows, 6),
+    } | sensor  # fmt: skip
+    for name, value in entries.items():
+        text, number = re.subn(rf"(?m)^{name} = \S+", f"{name} = {value}", text)
+        assert number == 1, name
     path = folder / "small.toml"
     path.write_text(text)
     return path

@@ -12,6 +12,7 @@ from _measure import table
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOST_SAMPLES = 150  #: that are kept and drawn
 MEMORY_CHANGE = 0.01  #: either way, of what it is after a fifth of a long run
+JUDGED_S = 300.0  #: least length of a run whose memory is judged
 STAGES = ("emulated camera", "checking and counting", "recording", "pictures", "serving", "browser")
 
 
@@ -62,7 +63,8 @@ def shortcomings(run: dict[str, Any]) -> list[str]:
     """What a long run must not show: frames lost beyond the camera's buffer, memory that changes.
 
     Frames that the camera drops because the host did not ask for data in time are stated in the
-    tables; they say something about the machine.
+    tables; they say something about the machine. Memory is judged in runs of some minutes only,
+    because it grows at first.
     """
     found = [
         f"{run['lost'][place]:,} frames were lost (place: {place})"
@@ -72,6 +74,8 @@ def shortcomings(run: dict[str, Any]) -> list[str]:
     of = run["recording"]
     if of and of["intact"] != of["in_segments"]:
         found.append(f"{of['in_segments'] - of['intact']:,} recorded frames are damaged")
+    if run["elapsed_s"] < JUDGED_S:
+        return found
     memory = [sample["memory_mb"] for sample in run["samples"]]
     steady = memory[len(memory) // 5 :]
     least, most = min(steady), max(steady)

@@ -7,10 +7,9 @@ which is estimated from the photons, aligned by the depth found so far.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import xarray as xr
+from _real_photons import PHOTON_DATA, laser_calibration
 from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.ndimage import uniform_filter
@@ -18,13 +17,12 @@ from scipy.ndimage import uniform_filter
 import hueflight as hf
 from hueflight.calibration import Calibration
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
-from hueflight.model.waveforms import Templates
 from hueflight.reconstruction.joint import search_range_ns
 from hueflight.reconstruction.pooled.estimate import photons_of
 from hueflight.reconstruction.pooled.kernels import lag_likelihood
 from hueflight.reconstruction.pooled.tables import tables_for
 
-FACE = Path(__file__).absolute().parents[3] / "shared" / "data" / "photons" / "data_face.mat"
+FACE = PHOTON_DATA / "data_face.mat"
 STEP_NS = 0.008
 FIRST, CODES, GROUP = 3328, 256, 4  #: the stretch of time that is looked at, in codes of 4 steps
 PULSE_NS = 0.5  #: where the pulse of distance 0 is put
@@ -93,23 +91,7 @@ def _calibration(instrument: hf.Instrument, since_ns: NDArray[np.float64]) -> Ca
     shape = np.histogram(place, np.linspace(0, PERIOD_NS, knots + 1))[0].astype(float)
     shape -= np.median(shape)  # light that is there all the time
     shape[np.arange(knots) * PERIOD_NS / knots > PULSE_NS + 1.1] = 0
-    zero, never = np.zeros(instrument.image_shape), np.zeros(instrument.image_shape, bool)
-    return Calibration(
-        instrument=instrument,
-        distance=0.0,
-        bins=instrument.time_bins(),
-        reference=np.zeros((*instrument.image_shape, 1), np.float32),
-        frames=None,
-        windows=(),
-        pixel_delay_ns=zero,
-        pixel_delay_std_ns=zero,
-        gain=np.ones(1),
-        templates=Templates.normalized(shape[None], PERIOD_NS),
-        brightness=np.ones(1),
-        flat_field=zero + 1,
-        dead=never,
-        hot=never,
-    )
+    return laser_calibration(instrument, shape)
 
 
 def matched_depths(

@@ -7,16 +7,14 @@ for which a Gaussian stands.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
+from _real_photons import PHOTON_DATA, laser_calibration
 from numpy.typing import NDArray
 
 import hueflight as hf
 from hueflight.calibration import Calibration
-from hueflight.model.waveforms import Templates
 
-NIGHT = Path(__file__).absolute().parents[3] / "shared" / "data" / "photons" / "k11_night.mat"
+NIGHT = PHOTON_DATA / "k11_night.mat"
 NIGHT_GATE_PS, NIGHT_CODES, NIGHT_FWHM_NS, NIGHT_PULSE_NS = 200_000, 512, 0.98, 5.0
 NIGHT_DEPTH_RANGE = (0.0, 28.5)  #: within the gate, m
 
@@ -50,20 +48,4 @@ def night_calibration(shape: tuple[int, ...]) -> Calibration:
     """)
     times_ns = np.arange(4 * NIGHT_CODES) * period_ns / (4 * NIGHT_CODES)
     pulse = np.exp(-4 * np.log(2) * ((times_ns - NIGHT_PULSE_NS) / NIGHT_FWHM_NS) ** 2)
-    zero, never = np.zeros(shape), np.zeros(shape, bool)
-    return Calibration(
-        instrument=instrument,
-        distance=0.0,
-        bins=instrument.time_bins(),
-        reference=np.zeros((*shape, 1), np.float32),
-        frames=None,
-        windows=(),
-        pixel_delay_ns=zero,
-        pixel_delay_std_ns=zero,
-        gain=np.ones(1),
-        templates=Templates.normalized(pulse[None], period_ns),
-        brightness=np.ones(1),
-        flat_field=zero + 1,
-        dead=never,
-        hot=never,
-    )
+    return laser_calibration(instrument, pulse)

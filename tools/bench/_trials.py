@@ -206,10 +206,16 @@ class Outcome:
 
 
 def run_cell(
-    cell: Cell, estimators: Mapping[str, Estimator], *, pixels: int, seed: int = 0
+    cell: Cell,
+    estimators: Mapping[str, Estimator],
+    *,
+    pixels: int,
+    seed: int = 0,
+    made: Rig | None = None,
 ) -> dict[str, Outcome]:
-    """Every estimator on the same counts of about so many pixels."""
-    made = rig(cell.tail_ns, cell.bin_width_ns)
+    """Every estimator on the same counts of about so many pixels, by default of the cell's rig."""
+    if made is None:
+        made = rig(cell.tail_ns, cell.bin_width_ns)
     colour = made.colour(COLOURS[cell.colour])
     amplitudes = made.white * colour
     amplitudes *= cell.photons / amplitudes.sum()

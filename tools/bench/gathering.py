@@ -26,7 +26,7 @@ from hueflight.daemon.gathered_window import GatheredWindow
 from hueflight.daemon.incremental_fitter import IncrementalFitter
 
 RATE_HZ, BLOCK = 480, 48  # frames per second, and per picture
-REFERENCE_FRAMES = 40_000
+REFERENCE_FRAMES = 65_000  #: as the simulated camera of the daemon
 RESULT = Path(__file__).resolve().parents[2] / "docs" / "results" / "gathering.inc"
 
 
@@ -51,7 +51,8 @@ class LivePictures:
         counts = self._rng.poisson(chances * frames).astype(np.uint16)
         counts[..., 0] = frames - np.minimum(counts[..., 1:].sum(axis=-1), frames)
         block: Any = SimpleNamespace(counts={0: counts}, frames=frames)
-        self._window.add(LiveBlock(block, 0.0, "scene", 1, lambda: None))
+        instrument = self._calibration.instrument
+        self._window.add(LiveBlock(block, 0.0, "scene", 1, instrument, lambda: None))
         return self._fitter.fit(
             self._window.histogram(), self._calibration, self._window.frames_by_pixel
         )

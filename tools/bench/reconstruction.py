@@ -4,6 +4,7 @@
     python3 tools/dev.py bench reconstruction                    all of it, about a minute
     python3 tools/dev.py bench reconstruction methods skips      some sections
     python3 tools/dev.py bench reconstruction --json new.json    also as a file, for `bench compare`
+    python3 tools/dev.py bench reconstruction instructions --gate 14500  fails if the fit takes more
 
 24 576 pixels (the paper's chip), 620 photons each and 10 % background unless a row says otherwise,
 one thread unless it says two. Every table has its references from the same run: `read` sums the
@@ -17,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from _fit_instructions import instructions
 from _measure import PIXELS, best_of, packets_of, save, table
 from numpy.typing import NDArray
 
@@ -38,6 +40,7 @@ IMAGES_PER_SECOND = 30
 FRAMES = 620  #: per image at 18.6 kfps
 EXPOSURES = 60_000  #: of the slow captures: pile-up is negligible
 PHOTONS, BACKGROUND = 620, 62
+COUNTED = 4096  #: pixels whose instructions are counted
 
 instrument = hf.Instrument.load("paper")
 rng = np.random.default_rng(1)
@@ -189,6 +192,16 @@ def fused(calibration: Calibration) -> None:
     show("Packets to image (620 frames)", best_of(contenders, rounds=6), "emptying the counters")
 
 
+def counted(calibration: Calibration, gate: float | None) -> None:
+    """Instructions of the joint fit per pixel."""
+    lights = {}
+    for photons, background in ((PHOTONS, BACKGROUND), (100, 100)):
+        flat = calibration.bins.in_time_order(drawn(photons, background)).reshape(PIXELS, -1)
+        lights[f"{photons} + {background}"] = flat[:COUNTED]
+    plan = tables_for_calibration(calibration, search_range_ns(calibration, None))
+    instructions(lights, calibration.pixel_delay_ns.ravel()[:COUNTED], plan, gate=gate)
+
+
 def emptied(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """The same memory, all zero."""
     counts.fill(0)
@@ -203,19 +216,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("sections", nargs="*", help=", ".join(SECTIONS))
+    names = ", ".join([*SECTIONS, "instructions"])
+    parser.add_argument("sections", nargs="*", help=names)
+    parser.add_argument("--gate", type=float, help="most instructions of the fit for a pixel")
     parser.add_argument("--json", type=Path, help="file for `bench compare`")
     given = parser.parse_args()
     wanted = given.sections or list(SECTIONS)
-    unknown = [name for name in wanted if name not in SECTIONS]
+    unknown = [name for name in wanted if name not in (*SECTIONS, "instructions")]
     if unknown:
-        parser.error(f"no section {unknown[0]!r}; there are {', '.join(SECTIONS)}")
+        parser.error(f"no section {unknown[0]!r}; there are {names}")
     lanes = getattr(backend.compiled("fit"), "LANES", 1)
     kernel = f"{backend.describe()['fit']}, {lanes} lanes"
     print(f"kernel: {kernel}")
     calibration = calibrated()
     for name in wanted:
-        SECTIONS[name](calibration)
+        if name == "instructions":
+            counted(calibration, given.gate)
+        else:
+            SECTIONS[name](calibration)
     if given.json:
         save(given.json, measured, kernel=kernel)
 

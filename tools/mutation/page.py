@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from scipy.stats import beta
+
 _HEAD = """# Mutation testing of the gateware
 
 A test suite is judged by faults that are put into the gateware on purpose: one operator, constant,
@@ -20,9 +22,35 @@ python tools/mutate.py run --count {count} --seed {seed}   # goes on where it st
 python tools/mutate.py page                         # writes this page
 ```
 
-The sources have {total} mutants; {judged} of them were drawn at random (seed {seed}), evenly over
-the parts, and judged.
+The sources have {total} mutants. The {judged} that were judged are a simple random sample of them
+(seed {seed}), so the score of all is known to within the interval given with it: the exact binomial
+(Clopper-Pearson) interval, which covers the true score in at least {confidence:.0%} of such
+samples. Survivors are counted as faults that the tests miss, unless a reason below says otherwise.
 """
+CONFIDENCE = 0.95
+
+
+def interval(
+    killed: int, survived: int, /, *, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Return the Clopper-Pearson interval of the share of mutants that are killed.
+
+    Parameters
+    ----------
+    killed, survived : int
+        Mutants of a random sample.
+    confidence : float
+        Share of samples whose interval contains the true share, at least.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper bound.
+    """
+    tail = (1 - confidence) / 2
+    low = beta.ppf(tail, killed, survived + 1) if killed else 0.0
+    high = beta.ppf(1 - tail, killed + 1, survived) if survived else 1.0
+    return float(low), float(high)
 
 
 def write_page(
@@ -49,12 +77,20 @@ def write_page(
     by_suite: dict[str, Counter[str]] = {}
     for result in results:
         by_suite.setdefault(result["suite"], Counter())[_status(result, reasons)] += 1
-    lines = [_HEAD.format(count=len(results), seed=seed, total=total, judged=len(results))]
-    lines += ["| part | killed | survived | equivalent | score |", "|---|---|---|---|---|"]
+    count = len(results)
+    lines = [
+        _HEAD.format(count=count, seed=seed, total=total, judged=count, confidence=CONFIDENCE),
+        f"| part | killed | survived | equivalent | score | {CONFIDENCE:.0%} interval |",
+        "|---|---|---|---|---|---|",
+    ]
     for name, counts in [*by_suite.items(), ("all", sum(by_suite.values(), Counter()))]:
         killed, survived = counts["killed"], counts["survived"]
-        score = f"{killed / (killed + survived):.1%}" if killed + survived else "–"
-        lines.append(f"| {name} | {killed} | {survived} | {counts['equivalent']} | {score} |")
+        score = shown = "–"
+        if killed + survived:
+            score = f"{killed / (killed + survived):.1%}"
+            shown = " to ".join(f"{bound:.1%}" for bound in interval(killed, survived))
+        cells = (name, killed, survived, counts["equivalent"], score, shown)
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += _table("Survivors", results, reasons, "survived")
     lines += _table("Equivalent mutants", results, reasons, "equivalent")
     return "\n".join(lines) + "\n"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ import numpy as np
 import pytest
 
 import hueflight as hf
+from hueflight.acquisition import recorder
 from hueflight.acquisition.plan import CaptureError, RunPlan
 from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.acquisition.thread_priority import ThreadPriority
 from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceGoneError
+from hueflight.files.room import Room
 from hueflight.recording import open_recording
 from hueflight.recording.segment import Segment
 from hueflight_protocol.typed_registers import camera as registers
@@ -264,9 +267,9 @@ def test_a_slow_disk_loses_pieces_and_says_so(
 
     original = RecordingWriter.write
 
-    def write(self: RecordingWriter, packets: bytes) -> None:
+    def write(self: RecordingWriter, *packets: bytes) -> None:
         time.sleep(0.05)
-        original(self, packets)
+        original(self, *packets)
 
     monkeypatch.setattr(RecordingWriter, "write", write)
     settings = replace(RunSettings.of(fast), recorder_queue_bytes=4096)
@@ -298,6 +301,32 @@ def test_no_room_is_refused_before_the_run(
         acquisition.close()
 
 
+def test_room_is_looked_for_again_before_half_of_what_was_left_is_used(
+    fast: hf.Instrument, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks: list[int] = []
+
+    def require(_: Room, size: int, *, reserve: int) -> int:
+        looks.append(size)
+        return 1000
+
+    monkeypatch.setattr(Room, "require", require)
+    monkeypatch.setattr(recorder, "ROOM_S", 1e9)
+    writing = recorder.Recorder(RunPlan(frames=10, path=tmp_path / "room.mcap"), fast)
+    try:
+        looks.clear()
+        margin = recorder.CHUNK_BYTES + recorder.INDEX_BYTES
+        for size in (7, 300, 200, 1):
+            writing._suspend_without_room(size)
+        assert looks == [7 + margin, 1 + margin]
+        monkeypatch.setattr(recorder, "ROOM_S", 0.0)
+        writing._suspend_without_room(501)
+        writing._suspend_without_room(1)
+        assert looks[2:] == [501 + margin, 1 + margin]
+    finally:
+        writing.close()
+
+
 def test_the_end_of_a_stream_that_comes_late_is_not_lost(
     rig: FaultyRig, fast: hf.Instrument
 ) -> None:
@@ -325,8 +354,12 @@ def test_the_end_of_a_stream_that_comes_late_is_not_lost(
 )
 def test_faults_at_random(seeds: range, fast: hf.Instrument, tmp_path: Path) -> None:
     """Whatever happens, in whatever order: no frame is counted twice or forgotten."""
-    for seed in seeds:
+
+    def run(seed: int) -> None:
         _random_run(seed, fast, tmp_path / f"{seed}.mcap")
+
+    with ThreadPoolExecutor(4) as several:  # they mostly wait
+        list(several.map(run, seeds))
 
 
 def _random_run(seed: int, instrument: hf.Instrument, path: Path) -> None:

@@ -24,7 +24,7 @@ def packets(label: int, count: int, *, sequence: int = 0) -> bytes:
     return encode_event(started) + b"".join(frames)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     earlier=st.sampled_from([0, 1, 3, 60]),
     own=st.integers(4, 8),

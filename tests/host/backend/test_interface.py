@@ -88,7 +88,8 @@ def test_the_hash_depends_on_every_declaration(kernel):
         interface.Interface(whole.name, whole.constants, whole.records, whole.functions[1:]),
         interface.Interface(whole.name, whole.constants, whole.records, whole.functions[::-1]),
     ]
-    assert len({whole.hash, *(other.hash for other in fewer)}) == 5
+    different = 5 if len(whole.functions) > 1 else 4  # one function has one order
+    assert len({whole.hash, *(other.hash for other in fewer)}) == different
 
 
 @pytest.mark.parametrize("declared", [SCAN, COUNT], ids=lambda function: function.name)

@@ -50,7 +50,7 @@ def test_the_same_whoever_works(many: tuple[list[Path], hf.Calibration], tmp_pat
     one = reconstruct_many(paths, tmp_path / "one", calibration=calibration, workers=1)
     two = reconstruct_many(paths, tmp_path / "two", calibration=calibration, workers=2)
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
     ) as cluster:
         dask = reconstruct_many(
             paths, tmp_path / "dask", calibration=calibration, scheduler=cluster.scheduler_address

@@ -53,6 +53,24 @@ def test_one_led_arrives_later(calibration, instrument, draw):
     assert not check.holds
 
 
+def test_suspects_have_the_terms_of_the_check_of_a_picture(calibration, instrument, draw):
+    delay = instrument.bands[4].delay_ns
+    moved = with_band(instrument, 4, delay_ns=delay + 0.3)
+    histogram = draw(moved, photons=PHOTONS, seed=3)
+    of_target = {one.name: one for one in check_calibration(calibration, histogram).suspects}
+    image = hf.reconstruct(histogram, calibration)
+    of_picture = hf.check_image(histogram, calibration, image)["delay"]
+    delays = of_target["delay"]
+    assert delays.found
+    assert of_picture.found
+    assert not of_target["width"].found
+    assert (delays.labels, delays.unit) == (of_picture.labels, of_picture.unit)
+    assert sum(delays.sizes) == pytest.approx(0, abs=1e-6)
+    apart = np.subtract(delays.sizes, of_picture.sizes)
+    assert (np.abs(apart) < 4 * np.hypot(delays.deviations, of_picture.deviations)).all()
+    assert delays.sizes[4] == pytest.approx(300 * 8 / 9, abs=4 * delays.deviations[4])
+
+
 def test_one_led_is_dimmer_and_its_pulse_wider(calibration, instrument, draw):
     wide = with_band(instrument, 7, pulse_fwhm_ns=1.1 * instrument.bands[7].pulse_fwhm_ns)
     dim = np.ones(9)

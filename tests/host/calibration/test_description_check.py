@@ -53,6 +53,13 @@ def test_a_right_description_fits(board):
     assert found.expected.sum() == pytest.approx(found.counts.sum(), rel=0.05)
 
 
+def test_a_latency_just_below_0_is_not_found_as_a_whole_period(draw):
+    later = tuple(msgspec.structs.replace(band, delay_ns=band.delay_ns + 0.1) for band in BANDS)
+    counts = draw(camera(latency=0.0), photons=5000)
+    found = check_description(counts, camera(bands=later, latency=0.0), distance=0.5)
+    assert found.latency_ns == pytest.approx(-0.1, abs=0.05)
+
+
 def test_a_single_shot_fits(draw):
     single = camera(period=None, latency=0.0)
     found = check_description(draw(single, depth=0.5, photons=5000), single, distance=0.5)

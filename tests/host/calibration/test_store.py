@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 import dataclasses
 import json
+import pickle
+import shutil
 
 import google_crc32c
 import numpy as np
 import pytest
+import xarray as xr
 import zarr
 
 import hueflight as hf
+from hueflight.calibration import store
 from hueflight.errors import (
     CalibrationError,
     CalibrationNotFoundError,
     OutputError,
     OutputExistsError,
 )
+from hueflight.export.description import calibration_origin
 from hueflight.files import write_checksums
 from hueflight.model.instrument import Band
 
@@ -206,3 +211,63 @@ def test_numbers_without_a_point(calibration, tmp_path):
     instrument = calibration.instrument.replace(bands=bands)
     dataclasses.replace(calibration, instrument=instrument).save(tmp_path / "cal.zarr")
     assert hf.Calibration.load(tmp_path / "cal.zarr").instrument == instrument
+
+
+@pytest.fixture
+def deferred(monkeypatch):
+    monkeypatch.setattr(store, "DEFERRED_BYTES", 0)
+    monkeypatch.setattr(store, "CHUNK_BYTES", 3000)  # several runs of rows
+
+
+def test_a_large_reference_stays_on_disk(calibration, deferred, tmp_path, draw, monkeypatch):
+    path = tmp_path / "cal.zarr"
+    calibration.save(path)
+    loaded = hf.Calibration.load(path)
+    scene = draw(calibration.instrument, depth=0.7, photons=800)
+    with monkeypatch.context() as patched:
+        patched.setattr(store.StoredReference, "read", lambda _: pytest.fail("it was read"))
+        image = hf.reconstruct(scene, loaded)
+        assert calibration_origin(loaded) == calibration_origin(calibration)
+        np.testing.assert_array_equal(
+            np.concatenate(list(loaded.reference_blocks())), calibration.reference
+        )
+        assert len(list(loaded.reference_blocks())) > 1
+    xr.testing.assert_identical(image, hf.reconstruct(scene, calibration))
+    elsewhere = pickle.loads(pickle.dumps(hf.Calibration.load(path)))
+    loaded.save(tmp_path / "copy.zarr")
+    shutil.rmtree(path)
+    again = hf.Calibration.load(tmp_path / "copy.zarr")
+    for one in (loaded, elsewhere, again):
+        np.testing.assert_array_equal(one.reference, calibration.reference)
+
+
+def test_a_reference_is_summed_once(calibration, deferred, tmp_path, draw, monkeypatch):
+    path = tmp_path / "cal.zarr"
+    calibration.save(path)
+    loaded = hf.Calibration.load(path)
+    scene = draw(calibration.instrument, depth=0.7, photons=800)
+    blocks, reads = store.StoredReference.blocks, []
+
+    def count_reads(stored):
+        reads.append(stored)
+        return blocks(stored)
+
+    monkeypatch.setattr(store.StoredReference, "blocks", count_reads)
+    images = [hf.reconstruct(scene, loaded, pileup_correction=False) for _ in range(2)]
+    hf.check_image(scene, loaded, images[0])
+    assert len(reads) == 1
+    expected = hf.reconstruct(scene, calibration, pileup_correction=False)
+    for image in images:
+        xr.testing.assert_identical(image, expected)
+
+
+def test_a_calibration_that_was_replaced_is_not_mixed_with_the_new_one(
+    calibration, deferred, tmp_path
+):
+    path = tmp_path / "cal.zarr"
+    calibration.save(path)
+    loaded = hf.Calibration.load(path)
+    other = dataclasses.replace(calibration, reference=calibration.reference + 1)
+    other.save(path, overwrite=True)
+    with pytest.raises(CalibrationError, match=r"was replaced or removed .*: load it again"):
+        _ = loaded.reference

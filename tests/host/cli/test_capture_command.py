@@ -12,9 +12,14 @@ import time
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from hueflight.recording import open_recording
+import hueflight as hf
+from hueflight import simulator
+from hueflight.batch import reconstruct_file
+from hueflight.errors import HueflightError
+from hueflight.recording import open_recording, read_sums
 
 COMMAND = [sys.executable, "-c", "from hueflight.cli import main; main()", "capture"]
 PATIENCE_S = 60
@@ -79,3 +84,40 @@ def test_no_camera_is_said_with_a_way_out(instrument: Path, tmp_path: Path) -> N
     assert finished.returncode == 1
     assert "Traceback" not in finished.stderr
     assert "--simulate" in finished.stderr or "libusb" in finished.stderr
+
+
+def test_sums_instead_of_codes(instrument: Path, tmp_path: Path) -> None:
+    described = hf.Instrument.load(instrument)
+    reference = simulator.simulate_capture("reference", described, frames=4000, distance=0.4)
+    calibration = hf.calibrate(reference, described, distance=0.4)
+    calibration.save(tmp_path / "cal.zarr")
+    out = tmp_path / "sums.mcap"
+    options = [
+        "--simulate", "--frames", "500", "--instrument", str(instrument), "--json", "--reduce",
+        "--calibration", str(tmp_path / "cal.zarr"), "--picture-frames", "120",
+    ]  # fmt: skip
+    finished = subprocess.run(
+        [*COMMAND, "scene", *options, "-o", str(out)],
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    summary = json.loads(finished.stdout)
+    counted = [summary[name] for name in ("exposed", "delivered", "recorded_frames")]
+    assert counted == [500, 500, 500]
+    with open_recording(out) as recording:
+        assert recording.frames == 0
+        sums = read_sums(recording)
+    assert (sums.frames == 500).all()
+    assert (sums.pictures, sums.losses) == (5, {})
+    assert summary["photons"] == int(sums.values[..., 0].sum())
+    result = reconstruct_file(out, tmp_path / "image.zarr", calibration=calibration)
+    truth = simulator.scene("fig1", described).depth
+    error = result.image["depth"].values - truth
+    known = np.isfinite(error)
+    near = np.abs(error) < 4 * result.image["depth_std"].values
+    assert known.sum() > 20  # 47 photons a pixel are few
+    assert near[known].mean() > 0.9
+    with pytest.raises(HueflightError, match="method 'joint' needs histograms"):
+        reconstruct_file(
+            out, tmp_path / "other.zarr", calibration=calibration, options={"method": "joint"}
+        )

@@ -373,6 +373,18 @@ def test_what_a_recording_lost_is_said_with_its_image(bench: Path, run) -> None:
     assert recovery.json["frames"] == 299
 
 
+def test_an_unknown_number_of_exposures_is_said(bench: Path, run) -> None:
+    (bench / "bench.toml").write_text(TOML.replace("no photon", "bin"))
+    calibrated(run)
+    words = ("calibrate", "reference.npz", "-d", "0.4", "-o", "again.zarr", "--overwrite", "--json")
+    assert run(*words).json["exposures"].startswith("unknown")
+    assert "exposures" not in run(*words, "--frames", "3000").json
+    made = run("reconstruct", "reference.npz", "-c", "cal.zarr", "-o", "image.zarr", "--json")
+    assert made.code == 0, made.err
+    for said in (made, run("info", "image.zarr", "--json")):
+        assert said.json["exposures"].startswith("unknown for the reference")
+
+
 def test_a_batch_goes_on_after_a_failure_and_says_so(bench: Path, run) -> None:
     calibrated(run)
     for name in ("a.mcap", "b.mcap"):
@@ -553,7 +565,7 @@ def test_what_is_reconstructed_is_chosen_on_the_command_line(measured: Path, run
         (["--region", "3"], "--region 3: give rows and columns"),
         (["--region", "a:b,c:d"], "--region a:b,c:d: give rows and columns"),
         (["--threads", "0"], "--threads 0: at least one"),
-        (["--bands", "green,amber"], "no 'amber'; choose from red, green, blue"),
+        (["--bands", "green,amber"], "no band 'amber'; choose from red, green, blue"),
         (["--depth-range", "2", "1"], "give the nearest and the farthest"),
         (["-o", "image.ply"], "--out image.ply: images are written as NAME.zarr or NAME.nc"),
     ],
@@ -569,7 +581,9 @@ def test_wrong_choices_are_explained(measured: Path, run, words: list[str], mess
 def test_an_image_is_written_as_netcdf(measured: Path, run) -> None:
     stored = image_of(measured, run, "scene.npz")
     for name in ("image.nc", "upper.NC"):
-        xr.testing.assert_identical(image_of(measured, run, "scene.npz", out=name), stored)
+        found = image_of(measured, run, "scene.npz", out=name)
+        assert "written by hueflight" in found.attrs.pop("history")
+        xr.testing.assert_identical(found, stored)
 
 
 def test_endings_in_upper_case(measured: Path, run) -> None:
@@ -615,12 +629,33 @@ def test_the_pattern_of_the_light_is_divided_out(bench: Path, run) -> None:
 
 def test_a_picture_of_one_band(measured: Path, run) -> None:
     image_of(measured, run, "scene.npz")
-    for band in ("green", "1"):
+    for band in ("green", "1", "532nm"):
         words = ("--variable", "reflectance", "--band", band, "--limits", "0", "1", "--overwrite")
         assert run("export", "image.zarr", f"{band}.png", *words).code == 0
-    assert (measured / "green.png").read_bytes() == (measured / "1.png").read_bytes()
+    for same in ("1", "532nm"):
+        assert (measured / "green.png").read_bytes() == (measured / f"{same}.png").read_bytes()
     refused = run("export", "image.zarr", "x.png", "--variable", "reflectance", "--band", "pink")
-    assert "band 'pink': the image has no such band; it has red, green, blue" in refused.err
+    assert "no band 'pink'; choose from red, green, blue" in refused.err
+
+
+def test_materials_are_exported(measured: Path, run) -> None:
+    image_of(measured, run, "scene.npz")
+    words = ("export", "image.zarr", "more.nc", "--library", "colorchecker")
+    done = run(*words, "--materials", "red, blue", "--index", "525nm,630nm")
+    assert done.code == 0, done.err
+    more = read_image(measured / "more.nc")
+    for name in ("abundance_red", "abundance_blue_std", "index_525nm_630nm_std"):
+        assert more[name].dims == ("row", "col")
+    for options, reason in (
+        ((), "3 bands can't tell 24 materials apart"),
+        (("--materials", "gold"), "material 'gold': the library has dark skin"),
+        (("--materials", "red", "--index", "NDVI"), "NDVI needs a band between 760 and 900 nm"),
+        (("--materials", "red", "--frames", "3"), "--frames 3: has no effect"),
+    ):
+        refused = run(*words, *options, "--overwrite")
+        assert refused.code == 1
+        assert reason in refused.err
+    assert "no effect" in run("export", "image.zarr", "x.nc", "--materials", "red").err
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

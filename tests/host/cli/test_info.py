@@ -19,6 +19,7 @@ from scipy.io import savemat
 import hueflight as hf
 from hueflight import simulator
 from hueflight.cli import main
+from hueflight.errors import FileFormatError
 from hueflight.export import describe, write, write_histogram
 from hueflight.recording import RecordingWriter
 
@@ -289,3 +290,28 @@ def test_damage_in_files_of_other_programs_is_found(
     code, _, message = info(tmp_path / "uneven.csv")
     assert code == 1
     assert "lines have from 1 to 2 columns" in message
+
+
+def test_a_damaged_file_is_not_taken_for_another_kind(
+    files: Path, info: Info, tmp_path: Path
+) -> None:
+    whole = bytearray((files / "counts73.mat").read_bytes())
+    header = b"MATLAB 7.3 MAT-file"
+    whole[: len(header)] = header
+    (tmp_path / "header.mat").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "plain.mat").write_bytes((files / "counts.h5").read_bytes()[:1000])
+    shutil.copytree(files / "image.zarr", tmp_path / "image.zarr")
+    (tmp_path / "image.zarr" / ".zgroup").write_text("{")
+    shutil.copytree(files / "cal.zarr", tmp_path / "cal.zarr")
+    (tmp_path / "cal.zarr" / ".zgroup").write_text("{")
+    for name, kind in {
+        "header.mat": "a MATLAB file", "plain.mat": "an HDF5 file (.h5, .nc)",
+        "image.zarr": "an image", "cal.zarr": "a calibration",
+    }.items():  # fmt: skip
+        code, _, message = info(tmp_path / name)
+        assert code == 1
+        assert f"{name}' can't be read as {kind}: it is damaged or was cut short" in " ".join(
+            message.split()
+        )
+    with pytest.raises(FileFormatError, match="can't be read as a MATLAB file: it is damaged"):
+        hf.read_counts(tmp_path / "header.mat", hf.Instrument.load(files / "camera.toml"))

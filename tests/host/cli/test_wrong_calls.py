@@ -6,6 +6,8 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
+from importlib import import_module
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +15,13 @@ import pytest
 import zarr
 
 import hueflight as hf
-from hueflight.cli import main
+from hueflight.cli import instrument, main
+from hueflight.cli.app import COMMANDS
 from hueflight.export import describe, write
 from hueflight.importers.captures import write_counts
 from hueflight.recording import RecordingWriter
 from hueflight.simulator import simulate_packets
+from support.sdt_file import write_sdt
 
 Run = Callable[..., tuple[int, str, str]]
 TOML = """
@@ -84,6 +88,7 @@ WRONG = {
     "calibrate counts.npy -d 1 -o out.npz --instrument camera.toml": "written as NAME.zarr",
     "calibrate counts.npy -o out.zarr": "the option --distance is missing",
     "calibrate counts.npy -d": "-d needs a value",
+    "check cal.zarr counts.npy --frames 50": "frames = 50",
     "check cal.zarr counts.npy -d 1000": "such as 1 for 1000 mm",
     "check counts.npy cal.zarr": "'counts.npy' is a NumPy array (.npy), not a calibration",
     "check cal.zarr counts.npy --josn": "did you mean --json?",
@@ -96,7 +101,8 @@ WRONG = {
     "instrument new out.toml --rows 2 --cols 2 --code-bits 6 --bin-width 50 --period 10 "
     "--band red,640,0,2": "period",
     "reconstruct counts.npy -c cal.zarr -o out.zarr --depth-range 500 1500": "depth_range",
-    "reconstruct counts.npy -c cal.zarr -o out.zarr --depth-range 1": "takes 2 values, but 1",
+    "reconstruct counts.npy -c cal.zarr -o out.zarr --depth-range 1":
+        "takes 2 values, but 1 is given",
     "reconstruct counts.npy -c cal.zarr -o out.zarr --method jont": "choose one of joint",
     "reconstruct counts.npy -c cal.zarr -o out.zarr --background steep": '"flat", "sloped"',
     "reconstruct counts.npy -c cal.zarr -o out.tif": "written as NAME.zarr or NAME.nc",
@@ -107,11 +113,18 @@ WRONG = {
     "export image.zarr": "OUT is missing",
     "export image.zarr out.ply more": "'more' is more than the command takes",
     "export image.zarr out.png --variable depht": "depht",
-    "export image.zarr out.png --variable reflectance --band blue": "it has red",
+    "export image.zarr out.png --variable reflectance --band blue": "choose from red",
     "export image.zarr out -f plyy": "plyy",
     "view image.zarr -o out.txt --no-open": "a page is written as NAME.html",
     "simulate plane --frames 2 -o out": "must end in .mcap (packets) or .npz (counts)",
     "simulate plane --frames 0 -o out.npz --instrument camera.toml": "frames = 0",
+    "reconstruct counts.npy -c cal.zarr -o out.zarr --threads 1.5":
+        "--threads 1.5: give a whole number",
+    "simulate plane --frames 1.5 -o out.npz": "--frames 1.5: give a whole number",
+    "instrument new out.toml --rows 2.5": "--rows 2.5: give a whole number",
+    "simulate plane -o out.npz --delay-drift-ps 1 2 3":
+        "repeated before each: --delay-drift-ps 1 --delay-drift-ps 2 --delay-drift-ps 3",
+    "view image.zarr --no-open -o out.html --threads 2": "image.zarr is not reconstructed here",
     "simulate plane --frames ten -o out.npz": "--frames ten: give a whole number",
     "capture --simulate --frames 1 -o out.npz": "out.npz",
     "demo --frames 5 -o out": "no option -o",
@@ -120,6 +133,31 @@ WRONG = {
     "info": "FILE is missing",
     "calibrat counts.npy": "did you mean calibrate?",
 }  # fmt: skip
+
+
+#: calls that read counts, and the options that say what to read or how to reconstruct it
+READING = ("dataset", "axes", "channel")
+PICTURE = ("frames", "depth-range", "bands", "region", "threads")
+OPTIONS = {
+    "calibrate counts.npy -d 1 -o out.zarr --instrument camera.toml": (*READING, "frames"),
+    "check cal.zarr counts.npy": (*READING, "frames"),
+    "instrument check camera.toml counts.npy -d 1": READING,
+    "reconstruct counts.npy -c cal.zarr -o out.zarr --no-preview": (*READING, *PICTURE),
+    "view counts.npy -c cal.zarr --no-open -o out.html": (*READING, *PICTURE),
+    "view image.zarr --capture counts.npy --no-open -o out.html": READING,
+    "instrument new out.toml --from scan.sdt --band red,640,0,2": ("dataset", "channel"),
+}
+#: of each option, a value that is right for these files, a wrong one, and what is said of that
+VALUES = {
+    "dataset": ("", "x", "--dataset"),
+    "axes": ("row,col,code", "code,row,col", "(4, 5, 64)"),
+    "channel": ("", "1", "channel"),
+    "frames": ("100000", "0", "above 0"),
+    "depth-range": ("0.5 1.5", "500 1500", "depth_range"),
+    "bands": ("red", "blue", "red"),
+    "region": ("0:2,1:4", "0:2", "--region 0:2: give rows and columns"),
+    "threads": ("2", "0", "--threads 0: at least one"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +204,7 @@ def run(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFix
         with pytest.raises(SystemExit) as stop:
             main(words)
         captured = capsys.readouterr()
-        return int(stop.value.code or 0), captured.out, captured.err  # type: ignore[arg-type]
+        return int(stop.value.code or 0), captured.out, captured.err
 
     return run
 
@@ -202,6 +240,47 @@ def test_a_wrong_call_says_what_to_do(folder: Path, run: Run, call: str) -> None
     message = require_one_sentence(*run(*call.split()))
     assert WRONG[call] in message
     assert sorted(path.name for path in folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("call", "option"), [(call, option) for call in OPTIONS for option in OPTIONS[call]]
+)
+def test_options_reach_every_command_that_has_them(
+    folder: Path, run: Run, call: str, option: str
+) -> None:
+    right, wrong, said = VALUES[option]
+    if "scan.sdt" in call:
+        pytest.importorskip("sdtfile")
+        write_sdt(folder / "scan.sdt", [np.load(folder / "counts.npy")], 1e-9)
+        right, said = "0", {"dataset": "no data block 'x'", "channel": "in channel 1"}[option]
+    message = require_one_sentence(*run(*call.split(), f"--{option}", *wrong.split()))
+    assert said in message
+    try:
+        if right:
+            code, _, err = run(*call.split(), f"--{option}", *right.split())
+            assert code in (0, 4) or ("instrument check" in call and code == 1), err
+            assert "error" not in err
+    finally:
+        for path in (*folder.glob("out*"), *folder.glob("scan.*")):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def test_no_other_command_has_these_options() -> None:
+    """And those that have them are all in the table; export and simulate have their own frames."""
+    functions = {name: getattr(import_module(f"hueflight.cli.{name}"), name) for name in COMMANDS}
+    functions |= {"instrument check": instrument.check, "instrument new": instrument.new}
+    del functions["instrument"]
+    listed: dict[str, set[str]] = {}
+    for call, options in OPTIONS.items():
+        words = call.split()
+        name = " ".join(words[:2]) if words[0] == "instrument" else words[0]
+        listed.setdefault(name, set()).update(options)
+    for name, function in functions.items():
+        has = {word.replace("_", "-") for word in signature(function).parameters} & set(VALUES)
+        own = {"frames"} if name in ("export", "simulate", "capture", "demo") else set()
+        if name == "calibrate":
+            own = {"bands"}  # a capture of each band
+        assert has - own == listed.get(name, set()), name
 
 
 def test_a_taken_name_has_the_same_message_everywhere(folder: Path, run: Run) -> None:

@@ -126,6 +126,33 @@ def test_recordings_are_made_listed_and_downloaded(camera: Client, tmp_path: Pat
         camera.download(name, tmp_path)
 
 
+def until_pictures_are_of(instrument: hf.Instrument, client: Client) -> None:
+    """Wait until pictures have another schedule: the daemon forgets those before it."""
+    fingerprint = instrument.fingerprint()
+    deadline = time.monotonic() + 120
+    while client.picture(timeout_s=WAIT_S).attrs.get("instrument_fingerprint") != fingerprint:
+        assert time.monotonic() < deadline, "no picture with the schedule's calibration came"
+
+
+def test_the_schedule_is_changed_and_the_instrument_follows(daemon: Daemon) -> None:
+    """Of the client that changes it, and of pictures that another client receives."""
+    with hf.connect(daemon.url) as changing, hf.connect(daemon.url) as looking:
+        stated = looking.instrument
+        assert looking.controls()["schedule"] is None
+        delays = [band.delays_ns[0] for band in stated.bands]
+        set_to = changing.set_controls(schedule={"delays_ns": [*delays[:-1], delays[-1] + 5]})
+        assert changing.instrument.bands[-1].delays_ns == (delays[-1] + 5,)
+        assert set_to["schedule"]["delays_ns"][-1] == [delays[-1] + 5]
+        until_pictures_are_of(changing.instrument, looking)
+        described = looking.picture(timeout_s=WAIT_S).attrs["instrument_description"]
+        assert hf.Instrument.from_json(described) == changing.instrument
+        assert changing.set_controls(schedule=None)["schedule"] is None
+        assert changing.instrument == stated
+        until_pictures_are_of(stated, looking)
+        with pytest.raises(RefusedError, match="the schedule is for 2 bands"):
+            looking.set_controls(schedule={"delays_ns": [0, 30]})
+
+
 def test_refusals_give_the_reason_of_the_daemon(camera: Client, tmp_path: Path) -> None:
     with pytest.raises(RefusedError, match="no recording is in progress") as caught:
         camera.stop_recording()

@@ -18,8 +18,8 @@ from starlette.testclient import TestClient
 import hueflight as hf
 from hueflight.daemon.config import DaemonConfig, ServerConfig
 from hueflight.daemon.http.app import make_app
-from hueflight.daemon.server_config import Tokens
-from hueflight.devices import Camera, Rig
+from hueflight.daemon.server_config import CameraConfig, Tokens
+from hueflight.devices import Camera, Rig, rig_from_uri
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
 
@@ -56,6 +56,8 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
         token: str | None = None,
         viewer_token: str | None = None,
         bank: FrameBank | None = None,
+        rig: str = "",
+        cameras: tuple[CameraConfig, ...] = (),
         **server: Any,
     ) -> Iterator[TestClient]:
         bank = bank or FrameBank.random(instrument.sensor, occupancy=0.3, frames=16)
@@ -69,8 +71,11 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
             )
             return Rig(camera, FakeIllumination())
 
-        config = DaemonConfig(data=str(tmp_path / "data"), server=ServerConfig(**server))
-        app = make_app(config, connect, instrument, port=PORT, tokens=Tokens(token, viewer_token))
+        config = DaemonConfig(
+            data=str(tmp_path / "data"), server=ServerConfig(**server), cameras=cameras
+        )
+        open_rig = rig_from_uri(rig, instrument) if rig else connect
+        app = make_app(config, open_rig, instrument, port=PORT, tokens=Tokens(token, viewer_token))
         with TestClient(app, base_url=BASE, raise_server_exceptions=False) as client:
             yield client
 

@@ -11,6 +11,7 @@ import pytest
 
 import hueflight as hf
 from hueflight.daemon.incremental_fitter import (
+    GROWN_S,
     GROWTH,
     REFRESH_S,
     IncrementalFitter,
@@ -114,3 +115,24 @@ def test_pixels_that_begin_anew_are_fitted_at_once(
     assert np.array_equal(fitted() & calibration.usable, wanted & calibration.usable)
     frames = np.full((24, 24), 8000)
     assert fitted().all()  # far more frames than any fit that was kept
+
+
+def test_pixels_whose_frames_have_grown_share_the_pictures_of_a_second(
+    small: Callable[..., hf.Instrument], draw: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide = small(rows=24, cols=24)
+    calibration = hf.calibrate(draw(wide, photons=20_000), wide, distance=0.5)
+    now_s = 1000.0
+    monkeypatch.setattr("hueflight.daemon.incremental_fitter.time.monotonic", lambda: now_s)
+    fitter = IncrementalFitter(change_sigma=4.0)
+    counts = draw(wide, depth=0.9, photons=500, frames=400, seed=2).astype(np.uint16)
+    fitter.fit(counts, calibration, np.full((24, 24), 400))
+    fitted = np.zeros((24, 24), int)
+    for _ in range(10):
+        now_s += GROWN_S / 10
+        image = fitter.fit(counts, calibration, np.full((24, 24), round(400 * GROWTH**1.01)))
+        now = image["quality"].values & int(Quality.SKIPPED) == 0
+        # those of growth, and those whose turn has come anyway
+        assert 57 <= now.sum() <= 58 + 24 * 24 * GROWN_S / 10 / REFRESH_S + 1
+        fitted += now
+    assert (fitted >= 1).sum() >= 570  # 57 in each picture

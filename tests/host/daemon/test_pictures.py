@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 
 import hueflight as hf
+from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.snapshot import LiveBlock
 from hueflight.daemon.block_window import BlockWindow
+from hueflight.daemon.gathered_window import GatheredWindow
 from hueflight.daemon.picture import Picture
 from hueflight.daemon.picture_settings import PictureSettings, PictureSettingsError
 from hueflight.daemon.pictures import Pictures
+from hueflight.model.schedules import Schedule
 
 WAIT_S = 20
 
@@ -26,15 +29,17 @@ WAIT_S = 20
 class Source:
     """Histograms of random counts, and which of them were given back."""
 
-    def __init__(self, shape: tuple[int, int, int]) -> None:
-        self._shape = shape
+    def __init__(self, instrument: hf.Instrument) -> None:
+        self._instrument, self._shape = instrument, instrument.histogram_shape
         self._rng = np.random.default_rng(7)
         self.returned: list[int] = []
 
     def block(self, number: int, *, run: int = 1, step: int = 0, frames: int = 10) -> LiveBlock:
         counts = self._rng.integers(0, 9, self._shape, dtype=np.uint16)
         block: Any = SimpleNamespace(counts={step: counts}, frames=frames, last_tick=0, clock_hz=1)
-        return LiveBlock(block, 0.0, "scene", run, lambda: self.returned.append(number))
+        return LiveBlock(
+            block, 0.0, "scene", run, self._instrument, lambda: self.returned.append(number)
+        )
 
 
 @pytest.mark.parametrize("blocks", [1, 3])
@@ -49,7 +54,7 @@ def test_a_picture_is_of_the_newest_blocks_of_its_run(
         done.release()
 
     pictures = Pictures(instrument, window_blocks=blocks, on_picture=keep)
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     offered: list[LiveBlock] = []
     try:
         for number, (run, step) in enumerate([(1, 0)] * 7 + [(2, 0)] * 2 + [(2, 1)] * 5):
@@ -68,13 +73,43 @@ def test_a_picture_is_of_the_newest_blocks_of_its_run(
     assert source.returned == list(range(len(offered) - blocks))
 
 
+def test_pictures_are_of_one_schedule(instrument: hf.Instrument) -> None:
+    """What still comes of the earlier schedule is not shown, and its calibration is not used."""
+    made: list[Picture] = []
+    done = threading.Semaphore(0)
+    pictures = Pictures(instrument, on_picture=lambda p: (made.append(p), done.release()))
+    calibration: Any = SimpleNamespace()
+    pictures.calibration = calibration
+    schedule = Schedule.of(instrument)
+    changed = Schedule(tuple((a + 5.0,) for (a,) in schedule.delays_ns), 300.0).applied_to(
+        instrument
+    )
+    before, after = Source(instrument), Source(changed)
+    try:
+        pictures.offer(replace(before.block(0), kind="dark"))
+        assert done.acquire(timeout=WAIT_S)
+        pictures.follow(RunSettings.of(changed), changed)
+        assert (pictures.calibration, pictures.latest) == (None, None)
+        for number in range(1, 4):
+            pictures.offer(before.block(number))
+        assert before.returned[-3:] == [1, 2, 3]
+        pictures.offer(after.block(4))  # the one that may have begun before
+        newest = after.block(5)
+        pictures.offer(newest)
+        assert done.acquire(timeout=WAIT_S)
+    finally:
+        pictures.close()
+    assert len(made) == 2
+    assert np.array_equal(made[-1].histogram, newest.block.counts[0])
+
+
 def test_a_histogram_is_given_back_when_nobody_holds_its_picture(
     instrument: hf.Instrument,
 ) -> None:
     made: list[Picture] = []
     done = threading.Semaphore(0)
     pictures = Pictures(instrument, on_picture=lambda p: (made.append(p), done.release()))
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     try:
         for number in range(4):
             pictures.offer(source.block(number))
@@ -97,7 +132,7 @@ def test_while_nobody_looks_pictures_are_few(
     pictures = Pictures(
         instrument, on_picture=made.append, is_watched=lambda: (looking, added.release())[0]
     )
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     try:
         for number in range(9):
             pictures.offer(source.block(number))
@@ -119,7 +154,7 @@ def test_counters_grow_when_sixteen_bits_do_not_suffice(instrument: hf.Instrumen
     pictures = Pictures(
         instrument, window_blocks=4, on_picture=lambda p: (made.append(p), done.release())
     )
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     try:
         for number in range(4):
             live = source.block(number, frames=30_000)
@@ -139,7 +174,7 @@ def test_photons_add_up_until_something_changes_or_the_settings_do(
     pictures = Pictures(
         instrument, integration_s=math.inf, on_picture=lambda p: (made.append(p), done.release())
     )
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     offered = 0
 
     def change(settings: PictureSettings) -> None:
@@ -199,7 +234,7 @@ def test_a_long_window_holds_few_histograms(instrument: hf.Instrument, length: i
     """Its sum is of consecutive newest blocks, as many as asked for to a tenth."""
     from hueflight.daemon.block_window import PARTS, BlockWindow
 
-    window, source = BlockWindow(length), Source(instrument.histogram_shape)
+    window, source = BlockWindow(length), Source(instrument)
     sums = [np.zeros(instrument.histogram_shape, np.int64)]
     for number in range(2 * length + 7):
         block = source.block(number)
@@ -212,6 +247,23 @@ def test_a_long_window_holds_few_histograms(instrument: hf.Instrument, length: i
         assert np.array_equal(window.histogram(), sums[-1] - sums[-1 - blocks])
 
 
+def test_blocks_that_waited_are_gathered_together(instrument: hf.Instrument) -> None:
+    """The sum and its frames are those of adding one after another; all are given back."""
+    window, source = GatheredWindow(instrument, np.inf, 1000.0), Source(instrument)
+    steps = [0, 0, 0, 1, 1]
+    blocks = [source.block(number, step=step) for number, step in enumerate(steps)]
+    blocks.insert(4, source.block(9, step=1, frames=0))
+    window.add_all(blocks[:3])
+    wanted = sum(block.histogram.astype(np.int64) for block in blocks[:3])
+    assert np.array_equal(window.histogram(), wanted)
+    assert (window.frames, window.frames_by_pixel.min()) == (30, 30)
+    window.add_all(blocks[2:])  # the LEDs fire in another way within
+    wanted = blocks[3].histogram.astype(np.int64) + blocks[5].histogram
+    assert np.array_equal(window.histogram(), wanted)
+    assert window.frames == 20
+    assert source.returned == [0, 1, 2, 2, 3, 9, 4]
+
+
 def test_a_picture_begun_anew_holds_no_older_photons(instrument: hf.Instrument) -> None:
     """The block that was being counted is left out, and the sum gets its new length."""
     made: list[Picture] = []
@@ -219,7 +271,7 @@ def test_a_picture_begun_anew_holds_no_older_photons(instrument: hf.Instrument) 
     pictures = Pictures(
         instrument, window_blocks=3, on_picture=lambda p: (made.append(p), done.release())
     )
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     blocks = [source.block(number) for number in range(8)]
     try:
         for number, block in enumerate(blocks):
@@ -242,7 +294,7 @@ def test_a_full_window_holds_as_many_blocks_as_asked(
     instrument: hf.Instrument, blocks: int
 ) -> None:
     window = BlockWindow.holding(blocks)
-    source = Source(instrument.histogram_shape)
+    source = Source(instrument)
     held = []
     for number in range(3 * window.length):
         window.add(source.block(number, frames=1))

@@ -7,27 +7,32 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import pytest
 from starlette.testclient import TestClient
 
 from hueflight.acquisition.plan import CaptureError
+from hueflight.daemon.http.answers import SimulationAnswer
 from hueflight.daemon.simulated_part import SimulatedPart
-from hueflight.devices.simulation import Repetition
+from hueflight.devices.simulation import Changes, Repetition
 from hueflight.errors import HueflightError
 
 WAIT_S = 20.0
 
 
 class Simulation:
-    plugged = True
+    plugged, delay_ps = True, 0.0
 
     def __init__(self, calibration: Any) -> None:
-        self.calibration = calibration
+        self.calibration, self.changes = calibration, Changes()
+
+    def change(self, changes: Changes) -> None:
+        self.changes = changes
 
     def repetition(self) -> Repetition:
         return Repetition(960, 0)
 
-    def calibrate(self) -> Any:
+    def calibrate(self, _: Any) -> Any:
         if self.calibration is None:
             raise HueflightError("no photons")
         return self.calibration
@@ -35,7 +40,7 @@ class Simulation:
 
 class Pictures:
     def __init__(self, calibration: Any = None) -> None:
-        self.calibration = calibration
+        self.calibration, self.instrument = calibration, None
         self.limits: list[int | None] = []
 
     def limit_frames(self, distinct_frames: int | None) -> None:
@@ -55,6 +60,12 @@ def part(simulation: Simulation | None, pictures: Pictures) -> tuple[SimulatedPa
     return made, used
 
 
+def test_the_status_is_what_the_description_of_the_api_says() -> None:
+    made, _ = part(Simulation(None), Pictures())
+    status = made.status()
+    assert msgspec.to_builtins(msgspec.convert(status, SimulationAnswer)) == status
+
+
 def test_a_calibration_comes_along_unless_there_is_one() -> None:
     wanted = SimpleNamespace(distance=0.4)
     pictures = Pictures()
@@ -69,13 +80,19 @@ def test_a_calibration_comes_along_unless_there_is_one() -> None:
 def test_the_cable_of_a_simulated_camera() -> None:
     simulation = Simulation(SimpleNamespace(distance=0.4))
     made, _ = part(simulation, Pictures())
-    made.plug(False)
+    made.change(plugged=False)
     assert not simulation.plugged
-    assert made.status() == {"plugged": False, "distinct_frames": 960, "repeated": 0}
+    still = {"moving": False, "drift_ps_per_s": 0.0, "delay_ps": 0.0, "calibrating": False}
+    repeats = {"distinct_frames": 960, "repeated": 0}
+    assert made.status() == {"plugged": False, **repeats, **still}
+    made.change(plugged=True, moving=True)
+    made.change(drift_ps_per_s=5.0)  # what is not named stays as it is
+    assert simulation.plugged
+    assert simulation.changes == Changes(moving=True, drift_ps_per_s=5.0)
     real, used = part(None, Pictures())
     assert (real.status(), used) == (None, [])
     with pytest.raises(CaptureError, match="not simulated"):
-        real.plug(False)
+        real.change(plugged=False)
 
 
 def test_only_a_simulated_camera_is_unplugged_by_request(client: TestClient) -> None:

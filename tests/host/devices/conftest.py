@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import os
+import re
 import select
+import termios
 import threading
 from collections.abc import Callable, Iterator
 
@@ -27,6 +29,9 @@ class SoftwareIlluminator:
         for channel in range(size.get("channels", 9)):
             self.registers.set("limit", channel, on_ticks=80, burst_ticks=80, duty_divisor=8)
         self.registers.set("serial", value=0xBEEF)
+        if size.get("external_clock"):
+            self.registers.set("features", external_clock=1)
+        self.dies_on_change = False
 
     def state(self, field: str) -> int:
         return self.registers.registers["state"].decode(self.registers.get("state"))[field]
@@ -42,6 +47,8 @@ class SoftwareIlluminator:
         match register.name:
             case "arm":
                 file.set("state", armed=int(word == ARM_KEY and file.get("watchdog_ms") > 0))
+            case "clock_source":
+                self._change_clock(word)
             case "sequencer_control" if word & 3:
                 file.set("state", sequencing=word & 1)
             case "trigger_now":
@@ -51,6 +58,22 @@ class SoftwareIlluminator:
                 for name in ("triggers_seen", "triggers_served", "triggers_ignored"):
                     file.set(name, value=0)
 
+    def connect_clock(self, present: bool) -> None:
+        """Connect an external clock, or take it away: the board then uses its own."""
+        state = self.registers.registers["clock_state"].decode(self.registers.get("clock_state"))
+        lost = int((not present and state["external"]) or state["lost"])
+        self.registers.set("clock_state", present=int(present), external=0, lost=lost)
+        if lost:
+            self.registers.set("faults", clock_failed=1, reference_lost=1)
+
+    def _change_clock(self, word: int) -> None:
+        state = self.registers.registers["clock_state"].decode(self.registers.get("clock_state"))
+        wanted = word & state["present"]
+        if wanted != state["external"] and not self.dies_on_change:
+            self.registers.set("clock_state", external=wanted, lost=0)
+            self.registers.set("faults", clock_failed=1)
+            self.registers.set("state", armed=0)
+
 
 class PtyBoard:
     """Answers on a pseudo terminal until closed.
@@ -59,10 +82,12 @@ class PtyBoard:
     ----------
     path : what a driver opens.
     spoil : done to every frame that is sent; by default nothing.
+    baud : rate at which it understands and answers; by default any.
     """
 
     def __init__(self, board: SoftwareIlluminator) -> None:
         self.board = board
+        self.baud: int | None = None
         self.spoil: Spoil = lambda frame: frame
         self._master, self._slave = os.openpty()
         self.path = os.ttyname(self._slave)
@@ -81,12 +106,21 @@ class PtyBoard:
             if self._wake in ready:
                 return
             before = decoder.damaged + decoder.overlong
-            messages = decoder.feed(os.read(self._master, 4096))
+            received = os.read(self._master, 4096)
+            if self.baud is not None and self.line_rate() != self.baud:
+                received = bytes(byte ^ 0x5A for byte in received)  # bits at the wrong times
+            messages = decoder.feed(received)
             for _ in range(decoder.damaged + decoder.overlong - before):
                 self.board.registers.count_error("framing")
             for message in messages:
                 if answer := self.board.registers.handle(message):
                     os.write(self._master, self.spoil(serial_frame(answer)))
+
+    def line_rate(self) -> int:
+        """Rate to which the driver has set the terminal, in bits per second."""
+        code = termios.tcgetattr(self._slave)[5]
+        names = [name for name in dir(termios) if re.fullmatch(r"B\d+", name)]
+        return next(int(name[1:]) for name in names if getattr(termios, name) == code)
 
     def close(self) -> None:
         """Unplug."""

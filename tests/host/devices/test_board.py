@@ -75,7 +75,7 @@ def test_silence_names_the_request() -> None:
 
 
 @given(st.lists(st.sampled_from(["lose", "damage", "answer"]), max_size=2), st.booleans())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_reads_survive_two_bad_answers(fates: list[str], before: bool) -> None:
     registers = RegisterFile(camera_map())
     registers.set("marker", value=77)

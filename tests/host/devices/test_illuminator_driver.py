@@ -19,9 +19,11 @@ from hueflight.devices import (
     DeviceNotFoundError,
     DeviceTimeoutError,
     Rig,
+    ScheduledIllumination,
     rig_from_uri,
 )
 from hueflight.devices.built_in_rigs import open_illumination
+from hueflight.model.schedules import Schedule
 from hueflight_protocol.illuminator_map import Advance, TriggerSource
 from hueflight_protocol.typed_registers import illuminator as registers
 from support.faulty_rig import FaultyRig
@@ -44,6 +46,29 @@ def until(condition: Callable[[], bool], what: str) -> None:
     while not condition():
         assert time.monotonic() < deadline, f"waited {WAIT_S} s until {what}"
         time.sleep(0.01)
+
+
+def test_another_schedule_is_loaded_between_runs(
+    board: PtyIlluminator, fast: hf.Instrument
+) -> None:
+    """It lies in the bank that every kind of capture plays, and what can't be played is refused."""
+    illumination = open_illumination(board.port, fast)
+    assert isinstance(illumination, ScheduledIllumination)
+    assert illumination.capacity.channels == len(fast.bands)
+    illumination.prepare("scene", 0)
+    stated = Schedule.of(fast)
+    later = tuple((first + 10.0, *rest) for first, *rest in stated.delays_ns)
+    illumination.load_schedule(Schedule(later, stated.period_ns).applied_to(fast))
+    assert not board.state.armed  # the board locks the bank that it plays while it is armed
+    for band, delays in enumerate(later):
+        assert board.registers.load(registers.Pulse, 0, band, 0).delay * 1.25 == delays[0]
+    assert board.registers.load(registers.BankSelect).value == 0
+    once = Schedule(((0.0,),) * len(later), stated.period_ns).applied_to(fast)
+    with pytest.raises(DeviceError, match=r"can't play the schedule: .*coincide"):
+        illumination.load_schedule(once)
+    illumination.load_schedule(fast)
+    assert board.registers.load(registers.Pulse, 0, 1, 0).delay * 1.25 == stated.delays_ns[1][0]
+    illumination.close()
 
 
 def test_each_kind_of_capture_lights_what_it_needs(

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import count
+from pathlib import Path
 
 import pytest
+import serial
 
 import hueflight as hf
 from hueflight.devices import (
     DeviceBusyError,
+    DeviceError,
     DeviceGoneError,
     DeviceNotFoundError,
     DeviceTimeoutError,
@@ -22,7 +25,8 @@ from hueflight.devices.illuminator import Illuminator, open_illuminator
 from hueflight.devices.illuminator_driver import IlluminatorDriver
 from hueflight.devices.pulse_schedule import PulseSchedule
 from hueflight.devices.sequencer_program import ProgramStep, each_alone
-from hueflight.devices.transports.serial import SerialPort, SerialTransport
+from hueflight.devices.transports.replay import ReplayTransport
+from hueflight.devices.transports.serial import SerialPort, SerialTransport, find_baud
 from hueflight_protocol import encode_request, serial_frame
 from hueflight_protocol.control import MAX_COBS_BYTES, write
 from hueflight_protocol.illuminator_map import TriggerSource
@@ -160,6 +164,57 @@ def test_another_program_holds_the_port(driver: Illuminator, line: PtyBoard):
 def test_no_such_port():
     with pytest.raises(DeviceNotFoundError, match="plugged in"):
         open_illuminator("/dev/ttyHueflightNone")
+
+
+@pytest.mark.parametrize("baud", [3_000_000, 1_000_000, 115_200])
+def test_the_rate_of_the_line_is_found(line: PtyBoard, baud: int):
+    line.baud = baud
+    port = SerialPort(line.path)
+    assert find_baud(port, timeout_s=1.0) == baud
+    assert line.line_rate() == baud
+    port.close()
+
+
+def test_a_line_with_a_rate_that_is_not_tried_says_what_was(line: PtyBoard):
+    line.baud = 38_400
+    with pytest.raises(DeviceTimeoutError, match=r"3000000, 1000000, .* baud"):
+        open_illuminator(line.path)
+    found = open_illuminator(line.path, baud=38_400)  # as it is known to the user
+    assert found.identity.place == line.path
+    found.board.close()
+
+
+@pytest.mark.parametrize("baud", [0, -9600])
+def test_a_rate_that_cannot_be_is_refused(line: PtyBoard, baud: int):
+    with pytest.raises(DeviceError, match=f"can't be set to {baud} baud"):
+        open_illuminator(line.path, baud=baud)
+
+
+def test_a_rate_that_the_adapter_refuses_is_told(line: PtyBoard, monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise ValueError("Failed to set custom baud rate")
+
+    monkeypatch.setattr(serial.Serial, "_set_special_baudrate", refuse)
+    with pytest.raises(DeviceError, match="can't be set to 1234567 baud: Failed"):
+        open_illuminator(line.path, baud=1_234_567)
+
+
+def test_a_record_that_cannot_be_written_leaves_the_port_free(line: PtyBoard, tmp_path: Path):
+    with pytest.raises(FileNotFoundError) as raised:
+        open_illuminator(line.path, record=tmp_path / "absent" / "board.jsonl")
+    open_illuminator(line.path).close()
+    assert raised.traceback  # which keeps alive whatever was not closed
+
+
+def test_the_record_of_a_board_that_is_refused_is_complete(line: PtyBoard, tmp_path: Path):
+    register = line.board.registers.registers["board"]
+    line.board.registers.set("board", value=register.reset ^ 1)
+    record = tmp_path / "board.jsonl"
+    with pytest.raises(WrongDeviceError) as raised:
+        open_illuminator(line.path, record=record)
+    with pytest.raises(WrongDeviceError):
+        Illuminator(ReplayTransport(record))
+    assert raised.traceback
 
 
 def test_another_board(line: PtyBoard):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import hueflight as hf
 from hueflight.devices import Camera, DeviceError, WrongDeviceError
 from hueflight.emulation import CameraModel, FrameBank
-from hueflight.emulation.frame_bank import Template
+from hueflight.emulation.frame_template import Template, empty_headers, stamp_all
 from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
 from hueflight_protocol import (
     Event,
@@ -22,6 +22,7 @@ from hueflight_protocol import (
     PacketParser,
     Status,
     TestPattern,
+    decode_frame,
     encode_frame,
 )
 from hueflight_protocol.typed_registers import camera as registers
@@ -47,7 +48,7 @@ def camera_of(
 
 
 @given(WORD, LONG, LONG, WORD, WORD, WORD, st.integers(0, 65535), st.integers(0, 2**32))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_stamped_template_is_what_the_encoder_writes(
     sequence: int, timestamp: int, frame: int, dropped: int, capture: int, clock_hz: int,
     step: int, seed: int,
@@ -61,6 +62,45 @@ def test_a_stamped_template_is_what_the_encoder_writes(
     options = {"step": step, "flags": FrameFlags.SIMULATED, "periods": 9}
     template = Template(encode_frame(codes, sequence=1, frame=2, timestamp=3, **options))
     assert template.stamp(**numbers) == encode_frame(codes, **numbers, **options)
+
+
+@given(st.lists(st.tuples(LONG, LONG, WORD, st.integers(0, 4)), min_size=1, max_size=20))
+@settings(max_examples=30)
+def test_frames_stamped_together_are_what_the_encoder_writes(
+    frames: list[tuple[int, int, int, int]],
+) -> None:
+    """Of several sizes, each with numbers of its own."""
+    rng = np.random.default_rng(len(frames))
+    shown = [rng.integers(0, 512, (5, 16)) * (rng.random((5, 16)) < n / 4) for n in range(5)]
+    templates = [Template(encode_frame(codes, sequence=1, frame=2, timestamp=3)) for codes in shown]
+    numbers = empty_headers(len(frames))
+    for header, (timestamp, frame, sequence, _) in zip(numbers, frames, strict=True):
+        header["timestamp"], header["frame"], header["sequence"] = timestamp, frame, sequence
+    wanted = b"".join(
+        encode_frame(shown[which], sequence=sequence, frame=frame, timestamp=timestamp)
+        for timestamp, frame, sequence, which in frames
+    )
+    assert stamp_all([templates[which] for *_, which in frames], numbers) == wanted
+
+
+def test_the_order_of_a_bank_changes_from_pass_to_pass_and_ends_with_its_step() -> None:
+    packets = [
+        encode_frame(np.full((1, 8), number), sequence=0, frame=0, timestamp=0, step=step)
+        for step in (0, 1)
+        for number in range(1, 6)
+    ]
+    bank = FrameBank(packets, frames_per_step=13)
+    shown = [
+        (found.header.step, int(found.codes[0, 0]))
+        for found in (
+            decode_frame(bank.template(frame).stamp(sequence=0, timestamp=0, frame=frame))
+            for frame in range(40)
+        )
+    ]
+    assert [step for step, _ in shown] == [0] * 13 + [1] * 27
+    passes = [[code for _, code in shown[at : at + 5]] for at in (0, 5, 15, 20, 25, 30)]
+    assert all(sorted(codes) == [1, 2, 3, 4, 5] for codes in passes)
+    assert len({tuple(codes) for codes in passes}) > 1
 
 
 def test_settings_of_the_paper() -> None:
@@ -139,7 +179,7 @@ def test_status_and_test_packets(fast: hf.Instrument) -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0, 0.02), st.integers(1, 5000)), min_size=5, max_size=60))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_frame_is_sent_or_counted_as_dropped(pulls: list[tuple[float, int]]) -> None:
     """Whatever the link takes and when, F14 holds, and packets are never cut."""
     paper = hf.Instrument.load("paper").sensor
@@ -173,3 +213,13 @@ def test_power_loss_forgets_everything(fast: hf.Instrument) -> None:
     assert not camera.running()
     assert camera.counters().frames_sent == 0
     assert camera.board.read(registers.Map).value == camera.board.registers.fingerprint
+
+
+def test_a_read_waits_for_data_while_frames_that_are_due_send_none(
+    fast: hf.Instrument, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, model = camera_of(fast, Clock())
+    sent = [b"", b"", b"sums"]
+    monkeypatch.setattr(CameraModel, "ready_bytes", property(lambda _: 1))
+    monkeypatch.setattr(model, "pull", lambda _: sent.pop(0))
+    assert SimulatedStream(model, 100).read(60.0) == b"sums"

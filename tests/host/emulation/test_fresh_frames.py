@@ -3,8 +3,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,12 +77,10 @@ def test_a_seed_gives_the_same_frames(tiny: hf.Instrument) -> None:
 
 def test_leds_fire_one_at_a_time_in_order(tiny: hf.Instrument) -> None:
     frames = FreshFrames("bands", tiny, scene="fig1", distance=0.4, seed=3, frames=10)
-    steps = []
-    while len(steps) < 10 * len(tiny.bands):
-        before = frames.repeated
-        template = frames.template(len(steps))
-        if frames.repeated == before:
-            steps.append(decode_frame(template.stamp(sequence=0, timestamp=0, frame=0)).header.step)
+    taken = [frames.template(number) for number in range(10 * len(tiny.bands))]
+    assert frames.repeated == 0  # faster than they are drawn, none is left out
+    stamped = (template.stamp(sequence=0, timestamp=0, frame=0) for template in taken)
+    steps = [decode_frame(packet).header.step for packet in stamped]
     frames.close()
     assert steps == [band for band in range(len(tiny.bands)) for _ in range(10)]
 
@@ -123,8 +127,51 @@ def test_the_cable_can_be_pulled(tiny: hf.Instrument) -> None:
 
 def test_a_calibration_comes_along(tiny: hf.Instrument) -> None:
     """It gives the depth of a target at another distance."""
-    calibration = SimulatedInstrument(tiny, frames=4).calibrate()
+    calibration = SimulatedInstrument(tiny, frames=4).calibrate(tiny)
     assert calibration.distance == 0.4
     counts = hf.simulator.simulate_capture("reference", tiny, frames=20_000, distance=0.6, seed=5)
     image = hf.reconstruct(counts, calibration)
     assert float(image.depth.median()) == pytest.approx(0.6, abs=0.01)
+
+
+def test_an_end_during_the_calibration_leaves_nothing_behind(tiny: hf.Instrument) -> None:
+    """Not even semaphores, of which Python would warn when the program has ended."""
+    program = """
+import multiprocessing, os, signal, sys, threading, time
+import hueflight as hf
+from hueflight.emulation.simulated_rig import SimulatedInstrument
+simulated = SimulatedInstrument(hf.Instrument.from_json(sys.argv[1]))
+threading.Thread(target=simulated.calibrate, args=(simulated.instrument,), daemon=True).start()
+while not multiprocessing.active_children():
+    time.sleep(0.01)
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program, tiny.to_json()],
+        capture_output=True, text=True, timeout=WAIT_S, check=False,
+    )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (-signal.SIGTERM, "")
+
+
+def test_an_error_of_the_process_that_draws_is_passed_on(tiny: hf.Instrument) -> None:
+    with pytest.raises(hf.HueflightError, match="nowhere"):
+        SimulatedInstrument(tiny, scene="nowhere", frames=4).prepare("scene", 4)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="no real-time priorities here")
+def test_drawing_does_not_keep_the_priority_of_acquisition(tiny: hf.Instrument) -> None:
+    """A process has the scheduling of the thread that starts it; in real time it slows all others.
+
+    Batches stand for real time here, which takes a permission.
+    """
+    found: list[Any] = []
+
+    def start() -> None:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        frames = FreshFrames("reference", tiny, scene="fig1", distance=0.4, seed=3)
+        found.append(os.sched_getscheduler(frames._process.pid or 0))
+        frames.close()
+
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(start).result()
+    assert found == [os.SCHED_OTHER]

@@ -22,7 +22,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 import hueflight as hf
-from hueflight.errors import ExportError, MissingPackageError, OutputError
+from hueflight.errors import ExportError, MemoryLimitError, MissingPackageError, OutputError
 from hueflight.export import FORMATS, formats, write, write_histogram, write_photons
 from hueflight.files import staged
 
@@ -155,6 +155,50 @@ def test_an_interrupt_leaves_nothing(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_exhausted_memory_leaves_what_was_there(
+    image: xr.Dataset, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Memory is lacking when the file is written and must be given its name."""
+    path = tmp_path / f"scene{FORMATS[name].endings[0]}"
+    write(image, path)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+
+    def lack(*_: Any, **__: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("hueflight.files.atomic._sync", lack)
+    with pytest.raises(
+        MemoryLimitError, match=r"memory is exhausted: .* was given up\. Nothing new"
+    ):
+        write(image, path, overwrite=True)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+    assert not [p for p in tmp_path.iterdir() if p.name.endswith(".partial")]
+
+
+def test_memory_that_is_lacking_for_the_removal_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, tries = shutil.rmtree, []
+
+    def lack(*arguments: Any, **options: Any) -> None:
+        tries.append(None)
+        if len(tries) < 3:
+            raise MemoryError
+        plain(*arguments, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", lack)
+
+    def exhausted() -> None:
+        with staged(tmp_path / "x") as partial:
+            partial.write_text("half")
+            raise MemoryError
+
+    with pytest.raises(MemoryLimitError, match="Nothing new"):
+        exhausted()
     assert not list(tmp_path.iterdir())
 
 

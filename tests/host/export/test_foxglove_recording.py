@@ -16,11 +16,13 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import hueflight as hf
+from hueflight.cli import main
 from hueflight.emulation.frame_bank import simulated_packets
 from hueflight.errors import ExportError, OutputError
 from hueflight.export import add_foxglove_channels
 from hueflight.recording import RecordingWriter
 from hueflight.recording.layout import CHANNEL, segment_files
+from support.mcap_doctor import Diagnosis
 
 COUNT, FRAMES, EVERY = 900, 400, 200
 
@@ -85,6 +87,17 @@ def test_the_copy_is_the_same_recording(recording: Path, copy: Path) -> None:
         assert mine.read_bytes()[:size] == theirs.read_bytes()[:size]
 
 
+def test_the_doctor_finds_no_errors(recording: Path, copy: Path, tmp_path: Path) -> None:
+    for path in (*segment_files(recording)[0], *segment_files(copy)[0]):
+        assert Diagnosis(path).errors == []
+    content = bytearray(copy.read_bytes())
+    topic = content.rindex(b"/depth_std")
+    content[topic : topic + 10] = b"/depth_sth"
+    spoiled = tmp_path / "spoiled.mcap"
+    spoiled.write_bytes(content)
+    assert any("two different channels" in error for error in Diagnosis(spoiled).errors)
+
+
 def test_pictures_are_those_of_their_frames(
     recording: Path, copy: Path, calibration: hf.Calibration
 ) -> None:
@@ -100,6 +113,41 @@ def test_pictures_are_those_of_their_frames(
     packets = [time for time, _, _ in found[CHANNEL.topic]]
     assert times == sorted(times)
     assert packets[0] <= times[0] <= times[-1] <= packets[-1]
+
+
+def test_the_command_writes_the_same(
+    recording: Path, calibration: hf.Calibration, copy: Path, tmp_path: Path, capsys
+) -> None:
+    """With materials, whose planes are channels too; packets stay as they are."""
+    calibration.save(tmp_path / "cal.zarr")
+    out = tmp_path / "shown.mcap"
+    words = ["export", str(recording), str(out), "-c", str(tmp_path / "cal.zarr"), "--json"]
+    words += ["--every", str(EVERY), "--frames", str(FRAMES), "--index", "NGRDI"]
+    with pytest.raises(SystemExit) as ended:
+        main([*words, "--library", "colorchecker", "--materials", "red,green"])
+    assert ended.value.code in (0, None), capsys.readouterr().err
+    mine, theirs = messages(out), messages(copy)
+    assert mine.keys() - theirs.keys() == {
+        "/abundance_red", "/abundance_red_std", "/abundance_green", "/abundance_green_std",
+        "/unmixing_chi_square", "/index_NGRDI", "/index_NGRDI_std",
+    }  # fmt: skip
+    for topic in (CHANNEL.topic, "/depth"):
+        assert [data for _, data, _ in mine[topic]] == [data for _, data, _ in theirs[topic]]
+    for wrong, problem in (
+        (["--band", "3"], "--band 3: has no effect"),
+        (["--index", "NDVI", "--overwrite"], "NDVI needs a band"),
+    ):
+        capsys.readouterr()
+        with pytest.raises(SystemExit):
+            main([*words, *wrong])
+        assert problem in capsys.readouterr().err
+    for short, problem in (
+        (words[:3], "need its calibration"),
+        ([*words[:2], "a.ply"], "to .mcap"),
+    ):
+        with pytest.raises(SystemExit):
+            main(short)
+        assert problem in capsys.readouterr().err
 
 
 def test_what_cannot_be_is_refused(

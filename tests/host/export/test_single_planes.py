@@ -9,7 +9,7 @@ import tifffile
 from PIL import Image
 
 import hueflight as hf
-from hueflight.errors import ExportError
+from hueflight.errors import ExportError, ImageError
 from hueflight.export import write
 from hueflight.export.ome import _color
 from hueflight.importers import read_image
@@ -68,8 +68,12 @@ def test_a_single_plane_as_tiff(image, tmp_path):
     np.testing.assert_array_equal(
         tifffile.imread(tmp_path / "one.tif"), image.reflectance.values[..., 4]
     )
-    with pytest.raises(ExportError, match="no such plane"):
+    write(image, tmp_path / "near.tif", variable="reflectance", band="532 nm")
+    assert (tmp_path / "near.tif").read_bytes() == (tmp_path / "one.tif").read_bytes()
+    with pytest.raises(ImageError, match=r"no band '9'.*numbers 0 to 8"):
         write(image, tmp_path / "none.tif", variable="reflectance", band=9)
+    with pytest.raises(ExportError, match="no such plane"):
+        write(image, tmp_path / "none.tif", variable="depth", band=1)
 
 
 def test_channels_have_colors_and_excitation(image, tmp_path):

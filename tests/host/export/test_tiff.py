@@ -14,11 +14,15 @@ import xarray as xr
 from lxml import etree
 from PIL import Image
 
+import hueflight as hf
 from hueflight.errors import ExportError
 from hueflight.export import write
 from hueflight.files.image_schema import layers
 
 OME = {"ome": "http://www.openmicroscopy.org/Schemas/OME/2016-06"}
+
+
+ROWS, COLS = 20, 14  #: of the camera in conftest
 
 
 def test_pages_hold_every_plane_and_say_which(
@@ -41,6 +45,27 @@ def test_pages_hold_every_plane_and_say_which(
         first = json.loads(file.pages[0].description)["image"]
         assert first["calibration.distance_m"] == "0.4"
         assert first["recording"] == "test.mcap"
+
+
+def test_a_stack_has_slice_labels_and_is_one_for_imagej(
+    image: xr.Dataset, series: xr.Dataset, tmp_path: Path
+) -> None:
+    """ImageJ gives labels to pages of one type whose values follow each other without a gap."""
+    write(image, tmp_path / "bands.tif", variable="reflectance")
+    with tifffile.TiffFile(tmp_path / "bands.tif") as file:
+        labels = file.pages.first.tags["IJMetadata"].value["Labels"]
+        assert labels[4] == "reflectance green 525 nm"
+        assert labels == [page.tags[285].value for page in file.pages]
+        starts = [page.dataoffsets[0] for page in file.pages]
+        assert {len(page.dataoffsets) for page in file.pages} == {1}
+        assert set(np.diff(starts)) == {image["depth"].values.nbytes}
+        assert [json.loads(page.description)["band"] for page in file.pages] == list(
+            image["band_name"].values
+        )
+    write(series, tmp_path / "depths.tif", variable="depth")
+    with tifffile.TiffFile(tmp_path / "depths.tif") as file:
+        labels = file.pages.first.tags["IJMetadata"].value["Labels"]
+    assert labels == ["depth a", "depth b", "depth c"]
 
 
 def test_pages_read_by_pillow(image: xr.Dataset, tmp_path: Path) -> None:
@@ -117,6 +142,34 @@ def test_ome_channels_are_bands_with_wavelengths(
     known = {m.attrib["K"]: m.text for m in root.iter(f"{{{OME['ome']}}}M")}
     assert known["calibration.distance_m"] == "0.4"
     assert json.loads(known["instrument_description"] or "")["name"] == "paper"
+
+
+def test_ome_has_angles_and_no_lengths_of_pixels(
+    image: xr.Dataset, camera: hf.Instrument, tmp_path: Path
+) -> None:
+    """What a pixel of 168 µm sees behind 8 mm grows with the distance: 1.2° and no length."""
+
+    def annotated(pixels: xr.Dataset) -> dict[str, str]:
+        write(pixels, tmp_path / "a.ome.tif", overwrite=True)
+        document = ome_types.from_tiff(tmp_path / "a.ome.tif")
+        assert {entry.pixels.physical_size_x for entry in document.images} == {None}
+        return dict(document.structured_annotations[0].value)
+
+    width, height = 18.4e-3 * 128 / COLS, 9.2e-3 * 192 / ROWS
+    whole = annotated(image)
+    one = np.degrees(2 * np.arctan(np.array([width, height]) / 2 / 8))
+    found = [float(whole[f"pixel_angle_{axis}_deg"]) for axis in "xy"]
+    np.testing.assert_allclose(found, one, rtol=1e-5)
+    assert float(whole["field_of_view_y_deg"]) == pytest.approx(12.6, abs=0.05)
+    part = annotated(image.isel(row=slice(2, 9)))
+    assert part["pixel_angle_y_deg"] == whole["pixel_angle_y_deg"]
+    assert "field_of_view_y_deg" not in part
+    blind = camera.replace(lens=None)
+    changed = {
+        "instrument_description": blind.to_json(),
+        "instrument_fingerprint": blind.fingerprint(),
+    }
+    assert "pixel_angle_x_deg" not in annotated(image.assign_attrs(changed))
 
 
 def test_single_ome_image(image: xr.Dataset, tmp_path: Path) -> None:

@@ -5,10 +5,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from hueflight.backend.fit import MOST_BANDS
 from hueflight.errors import HueflightError
 from hueflight.fit import reference as definition
 from hueflight.fit.reference import FitOptions
-from hueflight.fit.solver import fit_pixels
+from hueflight.fit.solver import compiled_kernel, fit_pixels
 from hueflight.reconstruction.joint import tables_for_calibration
 
 compiled = pytest.mark.usefixtures("compiled_fit")
@@ -84,6 +85,23 @@ def test_every_type_and_direction_of_counts(plans, draw, monkeypatch, dtype, rev
 
 
 @compiled
+@pytest.mark.usefixtures("fit_build")
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.float32])
+@pytest.mark.parametrize("step", [2, -2])
+def test_counts_that_lie_apart(plans, draw, dtype, step):
+    """Every second column of an array, as a slice of a larger one has it."""
+    instrument, plan = plans[0.0]
+    counts = draw(instrument, depth=0.9, photons=300)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1).astype(dtype)
+    wide = np.full((144, 2 * light.shape[1]), 7, dtype)
+    wide[:, ::step] = light
+    expected = fit_pixels(np.ascontiguousarray(light), np.zeros(144), plan)
+    found = fit_pixels(wide[:, ::step], np.zeros(144), plan)
+    np.testing.assert_array_equal(found.delay_ns, expected.delay_ns)
+    np.testing.assert_array_equal(found.amplitudes, expected.amplitudes)
+
+
+@compiled
 def test_threads_and_order_of_pixels_change_nothing(plans, draw):
     instrument, plan = plans[6.0]
     counts = draw(instrument, depth=0.9, photons=100, background=50)
@@ -131,6 +149,15 @@ def test_a_backend_that_does_not_exist(plans, monkeypatch):
     monkeypatch.setenv("HUEFLIGHT_KERNELS", "fortran")
     with pytest.raises(HueflightError, match="HUEFLIGHT_KERNELS = 'fortran'"):
         fit_pixels(np.ones((1, 499), np.uint16), np.zeros(1), plan)
+
+
+@compiled
+def test_more_bands_than_the_compiled_fit_has_room_for(monkeypatch):
+    assert compiled_kernel(MOST_BANDS) is not None
+    assert compiled_kernel(MOST_BANDS + 1) is None
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "c")
+    with pytest.raises(HueflightError, match=r"has room for 30 bands and there are 31: leave the"):
+        compiled_kernel(MOST_BANDS + 1)
 
 
 def test_light_that_does_not_fit_the_plan(plans):

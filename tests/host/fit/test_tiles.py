@@ -112,9 +112,13 @@ def test_packed_tables_hold_the_same(views):
     bands, bins = level.shares.shape[1:]
     for phase in np.random.default_rng(3).integers(0, len(level.shares), 10).tolist():
         shares, slopes = np.zeros((2, bands, made.widths.size), np.float32)
-        for band, first, count, place in made.runs[slice(*made.run_places[phase : phase + 2])]:
+        runs = made.runs[slice(*made.run_places[phase : phase + 2])]
+        for band, first, count, place, lit_first, lit_count in runs:
             shares[band, first : first + count] += made.data[place : place + count]
             slopes[band, first : first + count] += made.data[place + count : place + 2 * count]
+            light = (shares[band] != 0) | (slopes[band] != 0)
+            lit = first + np.flatnonzero(light[first : first + count])
+            assert (lit[0], lit[-1]) == (lit_first, lit_first + lit_count - 1)
         for packed, table in ((shares, level.shares), (slopes, level.slopes)):
             np.testing.assert_array_equal(packed[:, :bins], table[phase])
 
@@ -142,6 +146,9 @@ def test_segments_hold_the_same(views, skip_dark):
         assert end == bins
         np.testing.assert_array_equal(shares, level.shares[phase])
         np.testing.assert_array_equal(slopes, level.slopes[phase])
+        for column, table in enumerate((shares, slopes)):
+            sums = table.sum(axis=-1, dtype=np.float64)
+            np.testing.assert_allclose(made.sums[phase, :, column], sums, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("views", CASES.values(), ids=CASES.keys())

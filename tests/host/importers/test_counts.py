@@ -94,7 +94,7 @@ def test_axes_in_any_order(counts: NDArray[Any], order: tuple[str, ...]) -> None
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 30))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_frames_of_codes_are_counted(seed: int, frames: int) -> None:
     codes = np.random.default_rng(seed).integers(0, 64, (frames, 3, 4))
     wanted = np.zeros(CAMERA.histogram_shape, int)

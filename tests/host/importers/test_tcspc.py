@@ -15,6 +15,7 @@ import hueflight as hf
 from hueflight.errors import FileFormatError, InstrumentError
 from hueflight.importers import read_counts, tcspc_instrument
 from hueflight.model.instrument import Band
+from support.sdt_file import write_sdt
 
 ROWS, COLS, BINS, BIN_NS, PERIOD_NS = 5, 7, 125, 0.4, 50.0
 BANDS = (
@@ -74,6 +75,109 @@ def test_ptu_is_read_exactly(counts: NDArray[Any], camera: hf.Instrument, tmp_pa
     assert instrument is camera
     np.testing.assert_array_equal(found[..., :BINS], counts)
     assert not found[..., BINS:].any()
+
+
+def with_tags(path: Path, **values: int) -> None:
+    """Change whole numbers in the header of a PTU file: 32 bytes name, index, type, value."""
+    data = bytearray(path.read_bytes())
+    for name, value in values.items():
+        struct.pack_into("<q", data, data.index(name.encode().ljust(32, b"\0")) + 40, value)
+    path.write_bytes(data)
+
+
+T3_KINDS = [kind for kind in ptufile.PtuRecordType if kind.name.endswith("T3")]
+T2_KINDS = [kind for kind in ptufile.PtuRecordType if kind.name.endswith("T2")]
+
+
+@pytest.mark.parametrize("kind", T3_KINDS, ids=lambda kind: kind.name)
+def test_ptu_records_of_every_device_in_t3_mode(
+    counts: NDArray[Any], camera: hf.Instrument, tmp_path: Path, kind: ptufile.PtuRecordType
+) -> None:
+    """The library writes two layouts; the others have one of these, without overflows."""
+    written = kind if kind.name.startswith("Pico") else ptufile.PtuRecordType.GenericT3
+    few = np.minimum(counts, 1)  # in a short measurement, no counter overflows
+    write_ptu(tmp_path / "a.ptu", few, record_type=written)
+    with_tags(tmp_path / "a.ptu", TTResultFormat_TTTRRecType=int(kind))
+    with ptufile.PtuFile(tmp_path / "a.ptu") as file:
+        assert file.record_type == kind
+    found, _ = read_counts(tmp_path / "a.ptu", camera)
+    np.testing.assert_array_equal(found[..., :BINS], few)
+
+
+def test_ptu_scanned_in_both_directions(
+    counts: NDArray[Any], camera: hf.Instrument, tmp_path: Path
+) -> None:
+    there_and_back = counts.copy()
+    there_and_back[1::2] = there_and_back[1::2, ::-1]
+    write_ptu(tmp_path / "a.ptu", there_and_back)
+    with_tags(tmp_path / "a.ptu", ImgHdr_BiDirect=1)
+    found, _ = read_counts(tmp_path / "a.ptu", camera)
+    np.testing.assert_array_equal(found[..., :BINS], counts)
+
+
+def write_t2(path: Path, kind: ptufile.PtuRecordType, events: list[tuple[str | int, int]]) -> None:
+    """A T2 file of ticks of 100 ps, after PicoQuant's description of the records.
+
+    An event is a channel, or ``"sync"`` or ``"marker"``, and its time in ticks.
+    """
+    write_ptu(path, np.ones((1, 1, 2), np.uint16))
+    with ptufile.PtuFile(path) as file:
+        header = path.read_bytes()[: file.record_offset]
+    pico = kind.name == "PicoHarpT2"
+    wrap = {"PicoHarpT2": 210_698_240, "HydraHarpT2": 33_552_000}.get(kind.name, 1 << 25)
+    records, overflows = [], 0
+    for event, time in events:
+        while time - overflows * wrap >= wrap:
+            records.append(0xF << 28 if pico else 1 << 31 | 0x3F << 25 | 1)
+            overflows += 1
+        at = time - overflows * wrap
+        if pico:  # channel 0 is the sync input, 15 means a marker in the low bits
+            channel = {"sync": 0, "marker": 15}[event] if isinstance(event, str) else event + 1
+            records.append(channel << 28 | (at & ~0xF | 1 if event == "marker" else at))
+        else:
+            special = isinstance(event, str)
+            channel = {"sync": 0, "marker": 1}[event] if isinstance(event, str) else event
+            records.append(special << 31 | channel << 25 | at)
+    path.write_bytes(header + np.array(records, "<u4").tobytes())
+    with_tags(
+        path, TTResultFormat_TTTRRecType=int(kind), Measurement_Mode=2, Measurement_SubMode=1,
+        TTResult_NumberOfRecords=len(records),
+        MeasDesc_GlobalResolution=int(np.float64(1e-10).view(np.int64)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", T2_KINDS, ids=lambda kind: kind.name)
+def test_ptu_records_of_every_device_in_t2_mode(
+    camera: hf.Instrument, tmp_path: Path, kind: ptufile.PtuRecordType
+) -> None:
+    """Sync events every 50 ns for 0.03 s, in which every counter overflows."""
+    point = camera.replace(sensor=msgspec.structs.replace(camera.sensor, rows=1, cols=1))
+    rng = np.random.default_rng(7)
+    events: list[tuple[str | int, int]] = [(0, 3)]  # before the first sync event
+    truth = np.zeros((2, 128), np.uint32)
+    for start in range(100, 300_000_000, 500_000):
+        events += [("sync", start), ("sync", start + 500)]
+        phase = int(rng.integers(500))
+        channel = int(rng.integers(2))
+        events += [("marker", start + 500), (channel, start + 500 + phase)]
+        truth[channel, phase // 4] += 1  # bins of 0.4 ns
+    events += [(0, 4_000_000_000), (1, 4_000_000_000)]  # long after the last sync event
+    path = tmp_path / "a.ptu"
+    write_t2(path, kind, events)
+    active = [1, 2] if kind.name == "PicoHarpT2" else [0, 1]
+    with pytest.raises(FileFormatError, match=rf"channels \[{active[0]}, {active[1]}\]: say which"):
+        read_counts(path, point)
+    for number, channel in enumerate(active):
+        found, _ = read_counts(path, point, channel=channel)
+        np.testing.assert_array_equal(found[0, 0], truth[number])
+    with pytest.raises(FileFormatError, match=r"no bins\. Describe the instrument"):
+        tcspc_instrument(path, BANDS)
+
+
+def test_ptu_in_t2_mode_without_sync_events(camera: hf.Instrument, tmp_path: Path) -> None:
+    write_t2(tmp_path / "a.ptu", ptufile.PtuRecordType.GenericT2, [(0, 5), ("sync", 9), (0, 20)])
+    with pytest.raises(FileFormatError, match=r"has 1 sync events: without them"):
+        read_counts(tmp_path / "a.ptu", camera)
 
 
 def test_ptu_frames_are_added_up(camera: hf.Instrument, tmp_path: Path) -> None:
@@ -196,47 +300,6 @@ def test_ptu_to_depth_and_reflectance(camera: hf.Instrument, tmp_path: Path, dra
     assert float(image["depth"].mean()) == pytest.approx(0.8, abs=0.01)
 
 
-def write_sdt(path: Path, blocks: list[NDArray[np.uint16]], bin_width_s: float) -> None:
-    """A minimal "SPC Setup & Data File", after SPC_data_file_structure.h of Becker & Hickl.
-
-    Byte layout: file header, information text, one measurement description (its first part,
-    up to the scan sizes), then data blocks with their headers.
-    """
-    rows, cols, bins = blocks[0].shape
-    info = b"*IDENTIFICATION\r\n  ID        : SPC Setup & Data File\r\n*END\r\n\r\n"
-    measure = b"".join((
-        struct.pack("<9s11s16sh", b"12:00:00", b"2024-01-01", b"3D0001", 9),
-        struct.pack("<4f", 0, 0, 0, 0),  # cfd
-        struct.pack("<fhf", 0, 1, 0),  # syn
-        struct.pack("<fh3f", bin_width_s * bins, 1, 0, 0, 0),  # tac_r, tac_g, …
-        struct.pack("<hhhhHff", bins, 0, 1, 1, 1, 1.0, 1.0),  # adc_re, …
-        struct.pack("<hBhHfhhh16sf", 0, 0, 0, 0, 0, 0, 0, 0, b"SPC-150", 0),
-        struct.pack("<6h4if2h", 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0),
-        struct.pack("<4i", cols, rows, 1, 1),  # scan_x, scan_y, scan_rx, scan_ry
-    ))  # fmt: skip
-    header_size, block_size = 42, 22
-    info_at = header_size
-    measure_at = info_at + len(info)
-    data_at = measure_at + len(measure)
-    revision = (0x28 << 4) | 15  # SPC-150
-    header = struct.pack(
-        "<hihiHihIihhHIHH", revision, info_at, len(info), 0, 0, data_at, len(blocks),
-        blocks[0].nbytes, measure_at, 1, len(measure), 0x5555, 0, 0, 0x55AA,
-    )  # fmt: skip
-    assert len(header) == header_size
-    content, offset = [header, info, measure], data_at
-    for number, block in enumerate(blocks):
-        following = offset + block_size + block.nbytes
-        content.append(
-            struct.pack(
-                "<BBIIHhII", 0, 0, offset + block_size, following, 0x01, 0, number, block.nbytes
-            )
-        )
-        content.append(block.astype("<u2").tobytes())
-        offset = following
-    path.write_bytes(b"".join(content))
-
-
 @pytest.fixture
 def shot(camera: hf.Instrument) -> hf.Instrument:
     """The same scanner with 128 bins and no period: SDT files don't state one."""
@@ -262,10 +325,50 @@ def test_sdt_blocks(shot: hf.Instrument, tmp_path: Path) -> None:
     for number, cube in enumerate(cubes):
         found, _ = read_counts(tmp_path / "a.sdt", shot, dataset=str(number))
         np.testing.assert_array_equal(found, cube)
-    with pytest.raises(FileFormatError, match="holds 2 data blocks"):
+    with pytest.raises(FileFormatError, match=r"holds 2 data blocks .* 2 of them with decays"):
         read_counts(tmp_path / "a.sdt", shot)
     with pytest.raises(FileFormatError, match="no data block '2': there are 0 to 1"):
         read_counts(tmp_path / "a.sdt", shot, dataset="2")
+
+
+SDT_KINDS = {
+    "decay": 0x01, "page": 0x11, "image": 0x61, "from a stream": 0x68, "simulated": 0x15,
+    "32 bits": 0x161, "floating point": 0x264, "compressed": 0x1061, "compressed, 32": 0x1161,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", SDT_KINDS.values(), ids=SDT_KINDS.keys())
+def test_sdt_blocks_of_every_kind(shot: hf.Instrument, tmp_path: Path, kind: int) -> None:
+    dtype = {0x000: "<u2", 0x100: "<u4", 0x200: "<f8"}[kind & 0xF00]
+    cube = np.random.default_rng(4).poisson(2.0, (ROWS, COLS, 128)).astype(dtype)
+    write_sdt(tmp_path / "a.sdt", [cube], BIN_NS * 1e-9, kind=kind)
+    found, _ = read_counts(tmp_path / "a.sdt", shot)
+    np.testing.assert_array_equal(found, cube)
+
+
+@pytest.mark.parametrize("content", [0x20, 0x30, 0x40, 0x50, 0x90, 0xA0, 0xC0])
+def test_sdt_blocks_without_decays_are_refused(
+    shot: hf.Instrument, tmp_path: Path, content: int
+) -> None:
+    cube = np.ones((ROWS, COLS, 128), np.uint16)
+    write_sdt(tmp_path / "a.sdt", [cube], BIN_NS * 1e-9, kind=0x01 | content)
+    with pytest.raises(FileFormatError, match=r"0: \w+_BLOCK .* 0 of them with decays"):
+        read_counts(tmp_path / "a.sdt", shot)
+    with pytest.raises(FileFormatError, match=r"data block 0 is a \w+_BLOCK .* not decays"):
+        read_counts(tmp_path / "a.sdt", shot, dataset="0")
+
+
+def test_sdt_channels_of_a_router(shot: hf.Instrument, tmp_path: Path) -> None:
+    cube = np.random.default_rng(5).poisson(2.0, (3, ROWS, COLS, 128)).astype(np.uint16)
+    cube[1] = 0
+    write_sdt(tmp_path / "a.sdt", [cube], BIN_NS * 1e-9, kind=0x61, routed=3)
+    with pytest.raises(FileFormatError, match=r"photons in channels \[0, 2\]: say which"):
+        read_counts(tmp_path / "a.sdt", shot)
+    for channel in (0, 2):
+        found, _ = read_counts(tmp_path / "a.sdt", shot, channel=channel)
+        np.testing.assert_array_equal(found, cube[channel])
+    with pytest.raises(FileFormatError, match=r"no photons in channel 1; it has \[0, 2\]"):
+        read_counts(tmp_path / "a.sdt", shot, channel=1)
 
 
 def test_files_that_do_not_fit_the_instrument(

@@ -302,6 +302,32 @@ def test_codes_overflow_by_policy(small: Make) -> None:
     assert accumulate_codes(codes, instrument, out=out, overflow="saturate")[0, 0, 1] == 65535
 
 
+def test_codes_that_miss_a_nearly_full_counter(small: Make) -> None:
+    instrument = small(rows=1, cols=2)
+    out = np.zeros(instrument.histogram_shape, np.uint16)
+    out[0, 0, 7] = 65535
+    codes = np.array([[[1, 2]]] * 3, np.uint16)
+    assert accumulate_codes(codes, instrument, out=out) is out
+    assert (out[0, 0, 1], out[0, 0, 7], out[0, 1, 2]) == (3, 65535, 3)
+
+
+def test_a_stream_longer_than_is_scanned_at_once(
+    kernels: Kernels,
+    small: Make,
+    random_codes: Make,
+    stream: Make,
+    counted: Make,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    codes = random_codes(np.random.default_rng(9), (40, 8, 8), code_bits=9, occupancy=0.4)
+    packets = stream(codes)
+    monkeypatch.setattr("hueflight.ingest.scanner.WINDOW_BYTES", len(packets) // 7)
+    counts, report = accumulate(packets, small(), kernels=kernels)
+    np.testing.assert_array_equal(counts, counted(codes, 9))
+    assert report.frames == 40
+    assert report.lossless
+
+
 # -- bad input -------------------------------------------------------------------------------------
 
 

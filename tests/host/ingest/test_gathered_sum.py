@@ -156,3 +156,38 @@ def test_errors() -> None:
         GatheredSum(limit_frames=0)
     with pytest.raises(IngestError, match="nothing has been added"):
         GatheredSum().histogram()
+
+
+def test_what_was_given_out_stays_as_it_is_while_it_is_held() -> None:
+    """And no longer: then its memory holds a later sum."""
+    gathered = GatheredSum()
+    histogram = np.zeros((4, 4, 8), np.uint16)
+    histogram[..., 3] = 5
+    held, places = [], set()
+    for number in range(1, 7):
+        gathered.add(histogram, 5)
+        held.append(gathered.histogram())
+        again = gathered.histogram()  # a second loan of the same sum
+        places.add(again.ctypes.data)
+        del again
+        held = held[-2:]  # as a daemon holds the picture that is shown and the one that is made
+        for age, earlier in enumerate(reversed(held)):
+            assert (earlier[..., 3] == 5 * (number - age)).all()
+    assert len(places) <= 4
+    held.clear()
+    for _ in range(3):
+        gathered.add(histogram, 5)
+    assert (gathered.histogram()[..., 3] == 45).all()
+
+
+def test_memory_of_narrower_counters_is_not_used_again() -> None:
+    gathered = GatheredSum()
+    histogram = np.zeros((4, 4, 8), np.uint16)
+    histogram[..., 3] = 30_000
+    held = []
+    for number in range(1, 5):
+        gathered.add(histogram, 30_000)
+        held.append(gathered.histogram())
+        assert (held[-1][..., 3] == 30_000 * number).all()
+        held = held[-1:]
+    assert held[0].dtype == np.uint32

@@ -95,7 +95,7 @@ def damaged(data: bytes, changes: list[tuple[str, int, bytes]]) -> bytes:
 
 
 @needs_c
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     geometry=geometries,
     run=st.sampled_from([8, 64, 72, 128, 512]),
@@ -123,7 +123,7 @@ def test_compiled_and_numpy_say_the_same(
 
 
 @needs_c
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     geometry=st.tuples(st.integers(1, 6), st.integers(1, 24), st.integers(1, 12)),
     seed=st.integers(0, 1 << 32),
@@ -168,7 +168,7 @@ def test_long_streams_are_scanned_the_same(
     np.testing.assert_array_equal(compiled[1], numpy[1])
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(
     geometry=geometries,
     run=st.sampled_from([8, 64, 72, 512]),
@@ -264,12 +264,31 @@ def test_few_hits_with_codes_close_together(
         np.testing.assert_array_equal(counts, expected)
 
 
+@pytest.mark.parametrize("run", [1024, 2048, 4096])
+def test_few_hits_in_long_chunks(
+    kernels: Kernels, stream: Callable[..., bytes], counted: Callable[..., Any], run: int
+) -> None:
+    rng = np.random.default_rng(run)
+    codes = np.zeros((20, 64, 64), np.uint16)
+    for frame in codes:
+        pixels = rng.choice(frame.size, 150, replace=False)
+        frame.reshape(-1)[pixels] = rng.integers(300, 312, 150)
+    data = stream(codes, run=run)
+    _, counts = through(kernels, data, 64, 64, 9, final=True, limit=20)
+    np.testing.assert_array_equal(counts, counted(codes, 9).reshape(counts.shape))
+
+
 @needs_c
 def test_crc_of_every_length() -> None:
     compiled: Any = BACKENDS["c"]
     octets = np.random.default_rng(0).bytes(7000)
     for size in (*range(1100), 3071, 3072, 3073, 6999, 7000):
         assert compiled.crc32c(octets[-size or 7000 :]) == crc32c(octets[-size or 7000 :])
+
+
+def test_without_a_compiler_there_is_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hueflight.backend.available", lambda name: False)
+    assert list(backends.available()) == ["numpy"]
 
 
 def test_choosing_a_backend(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,17 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage, stats
 
+from hueflight import backend
 from hueflight.ingest import scene_change
-from hueflight.ingest.scene_change import (
-    TILE,
-    changed_tiles,
-    count_significance,
-    grown,
-    shift_weights,
-    tile_counts,
-)
+from hueflight.ingest.kernels import available
+from hueflight.ingest.numpy_scene_change import count_significance, shift_weights
+from hueflight.ingest.scene_change import TILE, changed_tiles, grown, tile_counts
 
 
 @pytest.mark.parametrize("reports_empty", [True, False])
@@ -31,12 +29,31 @@ def test_counts_of_tiles_are_sums(
     for (row, col, code), count in np.ndenumerate(counts):
         if code or not reports_empty:
             wanted[row // TILE, col // TILE, code // size] += count
-    assert np.array_equal(tile_counts(counts, frames, reports_empty=reports_empty), wanted)
+    assert np.array_equal(tile_counts(counts, reports_empty=reports_empty), wanted)
 
 
-def test_significance_is_that_of_the_exact_binomial_test(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_burst_is_seen_with_any_number_of_groups() -> None:
+    """The windows of groups need not divide them."""
+    earlier = np.full((1, 1, 37), 1000.0)
+    for place in (0, 18, 36):
+        counts = earlier.copy()
+        counts[..., place] += 6000
+        frames = np.full((1, 1), 1000.0)
+        assert scene_change.changed_tiles(counts, frames, earlier, frames).all()
+        assert not scene_change.changed_tiles(earlier, frames, earlier, frames).any()
+
+
+def test_shift_weights_are_relative_slopes_of_smoothed_counts() -> None:
+    """Smoothed by another implementation, the ends repeated."""
+    counts = np.random.default_rng(8).poisson(40.0, (3, 5, 37)).astype(float)
+    smooth = ndimage.convolve1d(counts, np.array([1, 4, 6, 4, 1]) / 16, mode="nearest")
+    floor = 1 + 0.05 * smooth.mean(axis=-1, keepdims=True)
+    wanted = np.gradient(smooth, axis=-1) / (smooth + floor)
+    np.testing.assert_allclose(shift_weights(counts), wanted, rtol=1e-12, atol=1e-15)
+
+
+def test_significance_is_that_of_the_exact_binomial_test() -> None:
     """Of n photons in all, those of the newer side are binomial if nothing has changed."""
-    monkeypatch.setattr(scene_change, "BRIGHTNESS_TOLERANCE", 0.0)
     for ratio in (0.01, 0.1, 1.0):
         for earlier in (5, 40, 1000, 50_000):
             expected = earlier * ratio
@@ -55,9 +72,8 @@ def test_significance_is_that_of_the_exact_binomial_test(monkeypatch: pytest.Mon
                     assert found == pytest.approx(exact, abs=0.2), (ratio, earlier, seen)
 
 
-def test_photons_where_there_were_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_photons_where_there_were_none() -> None:
     """The probability that all n photons fall to the newer side is share ** n."""
-    monkeypatch.setattr(scene_change, "BRIGHTNESS_TOLERANCE", 0.0)
     none = np.array(0.0)
     found = count_significance(np.array(7.0), none, none, np.array(0.1))
     assert found == pytest.approx(np.sqrt(2 * 7 * np.log(1.1 / 0.1)))
@@ -132,6 +148,16 @@ def test_small_drifts_of_brightness_are_tolerated() -> None:
     assert changed_tiles(1.2 * mean, frames, mean, frames).all()
 
 
+def test_small_shifts_are_tolerated() -> None:
+    """By half a hundredth of a group; a whole one is not."""
+    frames = np.full((4, 4), 4.8e7)
+    still, within, beyond = (
+        np.broadcast_to(pulses(delay), (4, 4, 128)) * 4.8e7 * 16 for delay in (0.0, 0.005, 1.0)
+    )
+    assert not changed_tiles(within, frames, still, frames).any()
+    assert changed_tiles(beyond, frames, still, frames).all()
+
+
 def test_tiles_without_frames_are_not_compared() -> None:
     rng = np.random.default_rng(2)
     now, frames = drawn(pulses(0.0), 48, 8, rng), np.full((8, 8), 48.0)
@@ -146,3 +172,40 @@ def test_grown_adds_the_eight_neighbors() -> None:
     wanted = np.zeros((5, 6), bool)
     wanted[:2, 1:4] = wanted[3:, 4:] = True
     assert np.array_equal(grown(mask), wanted)
+
+
+@pytest.mark.skipif(not backend.available("ingest"), reason="the kernels are not compiled here")
+@given(
+    seed=st.integers(0, 999),
+    shape=st.tuples(st.integers(1, 9), st.integers(1, 9), st.integers(2, 140)),
+    size=st.sampled_from([1, 4, 16]),
+)
+def test_the_compiled_significance_is_that_of_its_definition(
+    seed: int, shape: tuple[int, int, int], size: int
+) -> None:
+    """Of few and of many photons, and of tiles that are empty or left out."""
+    rng = np.random.default_rng(seed)
+    mean = rng.choice([0.0, 0.01, 1.0, 1e5], (*shape[:2], 1)) * rng.random(shape)
+    ratio = rng.choice([0.0, 0.01, 1.0], shape[:2])
+    earlier = rng.poisson(mean).astype(float)
+    newest = rng.poisson(1.02 * mean * ratio[..., None]).astype(float)
+    found = []
+    for kernel in available().values():
+        out = np.full((-(-shape[0] // size), -(-shape[1] // size)), np.nan)
+        kernel.significance(
+            *(newest, earlier, ratio, *shape, size, 8),
+            *(scene_change.BRIGHTNESS_TOLERANCE, scene_change.SHIFT_TOLERANCE, out),
+        )
+        found.append(out)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.skipif(not backend.available("ingest"), reason="the kernels are not compiled here")
+def test_the_compiled_significance_refuses_what_does_not_fit() -> None:
+    kernel, counts, some = available()["c"], np.zeros((3, 1, 4)), np.zeros((3, 1))
+    with pytest.raises(ValueError, match="newest has 96 bytes, fewer than the 120 it needs"):
+        kernel.significance(*(counts, counts, some, 3, 1, 5, 1, 1, 0.0, 0.0, some))
+    with pytest.raises(ValueError, match="out has 16 bytes, fewer than the 24 it needs"):
+        kernel.significance(*(counts, counts, some, 3, 1, 4, 1, 1, 0.0, 0.0, some[1:]))
+    with pytest.raises(ValueError, match="significance: argument out of range"):
+        kernel.significance(*(counts, counts, some, 3, 1, 1, 1, 1, 0.0, 0.0, some))

@@ -15,6 +15,7 @@ from hueflight.errors import IngestError
 from hueflight.ingest import HistogramStream, accumulate
 from hueflight.ingest.buffer import LEAST_BYTES, PacketBuffer, pieces
 from hueflight.ingest.kernels import Kernels, choose
+from hueflight.ingest.sliding_sum import SlidingSum
 from hueflight_protocol import (
     Event,
     PacketHeader,
@@ -56,7 +57,7 @@ def test_pieces_of_any_size_give_the_same(size: int, busy: Any, kernels: Kernels
     assert live.pending_bytes == 0
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(cuts=st.lists(st.integers(0, 1 << 16), max_size=30), block=st.integers(1, 50))
 def test_blocks_of_frames(cuts: list[int], block: int, busy: Any) -> None:
     instrument, codes, data = busy
@@ -197,6 +198,55 @@ def test_stream_of_the_largest_packets(small: Make) -> None:
     assert holder.scanner.total("packets") == 3
     assert seen == 1  # the others have the same sequence number: repeated
     assert holder.scanner.total("repeated") == 2
+
+
+def test_pieces_that_come_together_are_scanned_when_the_buffer_is_full_and_at_the_end(
+    small: Make,
+) -> None:
+    instrument = small()
+    shape = instrument.image_shape
+    packets = [
+        encode_frame(np.zeros(shape, int), sequence=n, frame=n, timestamp=n) for n in range(9)
+    ]
+    stream = b"".join(packets)
+    cuts = [stream[:5], b"", stream[5:70], stream[70:]]
+    holder, copied = PacketBuffer(instrument.sensor, choose()), []
+    for size in pieces(holder, *cuts):
+        copied.append(size)
+        holder.scan(limit=100)
+    assert (copied, holder.scanner.frames) == ([len(stream)], 9)
+
+    filler = bytes(LEAST_BYTES - len(stream) + 30)  # no packets, and more than there is room for
+    holder, copied = PacketBuffer(instrument.sensor, choose(), capacity=LEAST_BYTES), []
+    for size in pieces(holder, filler, *cuts):
+        copied.append(size)
+        holder.scan(limit=100)
+        holder.release()
+    assert copied == [LEAST_BYTES, 30]
+    assert holder.scanner.total("packets") == 9
+    assert holder.scanner.total("skipped_bytes") == len(filler)
+    assert list(pieces(holder, b"", b"")) == []
+
+
+@pytest.mark.parametrize("by_step", [False, True])
+def test_a_stream_without_frames(by_step: bool, small: Make) -> None:
+    """One histogram of nothing, or none where each step has its own."""
+    live = HistogramStream(small(), by_step=by_step)
+    live.feed(encode_event(Event(PacketHeader(sequence=0), code=5)))
+    (block,) = live.finish()
+    assert (block.frames, list(block.counts)) == (0, [] if by_step else [0])
+    assert not any(counts.any() for counts in block.counts.values())
+
+
+def test_a_sliding_sum_takes_wider_counters_when_it_needs_them() -> None:
+    sliding = SlidingSum(3)
+    expected, types = [], []
+    for number, frames in enumerate((40_000, 20_000, 30_000, 10_000, 5_000)):
+        sliding.add({0: np.full((2, 2, 4), frames, np.uint16)}, frames)
+        expected.append(frames)
+        assert (sliding.sums[0] == sum(expected[-3:])).all(), number
+        types.append(sliding.sums[0].dtype)
+    assert types == [np.uint16, np.uint16, np.uint32, np.uint16, np.uint16]
 
 
 def test_options_that_make_no_sense(small: Make) -> None:

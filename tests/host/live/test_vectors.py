@@ -104,6 +104,7 @@ def test_an_exact_vector_is_an_image() -> None:
     image = picture_of_message(decode_message((VECTORS / "exact.bin").read_bytes()))
     assert dict(image.sizes) == {"row": 2, "col": 3, "band": 2}
     assert image.band_name.values.tolist() == ["blue", "green"]
+    assert image.sel(band="green").wavelength.item() == image.wavelength.values[1]
     assert image.wavelength.values.tolist() == [450.0, 532.5]
     assert image.depth.attrs["units"] == "m"
     assert (image.attrs["method"], image.attrs["number"]) == ("joint", 7)

@@ -182,3 +182,9 @@ def test_fingerprints_of_presets_are_fixed(preset: str, fingerprint: str) -> Non
 def test_file_that_begins_with_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(SMALLEST, encoding="utf-8-sig")
     assert Instrument.load(tmp_path / "mine.toml") == Instrument.from_toml(SMALLEST)
+
+
+def test_a_sensor_without_a_frame_rate_has_one_to_plan_with() -> None:
+    sensor = Instrument.load("paper").sensor
+    assert sensor.usual_frame_rate_hz == sensor.frame_rate_hz
+    assert msgspec.structs.replace(sensor, frame_rate_hz=None).usual_frame_rate_hz == 1000.0

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from hueflight.model.instrument import Band, Instrument, Lens, Sensor, Timing
 from hueflight.model.instrument_text import entries
+from support.browser import open_browser
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -83,12 +84,44 @@ def test_a_width_that_is_not_stated_counts_as_the_usual_one():
     assert silent.differences(laser)
 
 
+def many_bands() -> Instrument:
+    bands = tuple(
+        Band(name=f"line {number}", wavelength_nm=400 + 15 * number, delay_ns=10 * number)
+        for number in range(30)
+    )
+    paper = Instrument.load("paper")
+    return paper.replace(bands=bands, description="A line of text.\n" * 40)
+
+
+def test_an_instrument_of_30_bands_fits_on_one_screen(tmp_path: Path):
+    shown = repr(many_bands())
+    assert len(shown.splitlines()) <= 24
+    assert max(map(len, shown.splitlines())) < 240
+    assert "line 10:" in shown
+    assert "line 11:" not in shown
+    assert "further_bands: 19 more" in shown
+    assert "line 29" in str(many_bands().facts()), "facts are complete"
+    profile = tmp_path / "profile"
+    profile.mkdir()
+    with open_browser(profile) as browser:
+        page = browser.contexts[0].new_page()
+        page.set_viewport_size({"width": 1024, "height": 640})
+        page.set_content(many_bands()._repr_html_())
+        assert "19 more" in page.inner_text("table")
+        box = page.locator("table").bounding_box()
+        assert 200 < box["height"] < 620
+        assert box["width"] < 1020
+
+
 def test_one_screen_in_a_terminal_and_in_a_notebook():
     paper = Instrument.load("paper")
     assert len(repr(paper).splitlines()) < 24
     assert "fires at 240 ns" in repr(paper)
     # 192 rows of 9.2 µm behind 8 mm: 2 atan(.8832 / 8)
     assert "12.6°" in repr(paper)
+    assert paper.viewing_angles_deg((1, 1)) == pytest.approx((0.1318, 0.0659), abs=1e-4)
+    point = paper.replace(sensor=msgspec.structs.replace(paper.sensor, rows=1, cols=1))
+    assert "field of view 0.1° × 0.1°" in repr(point)
     page = paper.replace(name="<b>")._repr_html_()
     assert "&lt;b&gt;" in page
     assert "<b>" not in page

@@ -49,7 +49,7 @@ def test_two_pulses_for_each_led_tell_one_colour_too():
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     st.lists(st.integers(0, 63), min_size=2, max_size=6, unique=True), st.integers(1, 3),
 )  # fmt: skip

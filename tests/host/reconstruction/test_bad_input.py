@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import hueflight as hf
-from hueflight.errors import HistogramError
+from hueflight.errors import CalibrationError, HistogramError
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +65,20 @@ def test_method(calibration, draw, instrument):
 def test_frames(calibration, draw, instrument, frames):
     with pytest.raises(HistogramError, match="must be above 0 and finite"):
         hf.reconstruct(draw(instrument), calibration, frames=frames)
+
+
+@pytest.mark.parametrize("method", ["joint", "pooled", "paper", "sums"])
+@pytest.mark.parametrize(("field", "value"), [("brightness", 0.0), ("gain", np.inf)])
+def test_calibration_with_a_dark_band(calibration, draw, instrument, method, field, value):
+    """Warnings are errors in tests, so that none of a division comes first."""
+    values = getattr(calibration, field).copy()
+    values[1] = value
+    dark = replace(calibration, **{field: values})
+    name = instrument.bands[1].name
+    with pytest.raises(CalibrationError, match=rf"for band '{name}': its LED was dark"):
+        hf.reconstruct(draw(instrument), dark, method=method)
+
+
+def test_depth_range_in_millimeters(calibration, draw, instrument):
+    with pytest.raises(hf.HueflightError, match="narrow it, and give it in meters"):
+        hf.reconstruct(draw(instrument), calibration, depth_range=(200, 150_000))

@@ -30,7 +30,7 @@ def has_flag(image, flag: Quality) -> np.ndarray:
     return (image["quality"].values & int(flag)) > 0
 
 
-@pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
+@pytest.mark.parametrize("method", ["joint", "paper", "pooled", "sums"])
 @pytest.mark.parametrize("photons", [10, 100, 1000, 10_000, 100_000])
 def test_background_alone_is_no_surface(
     instrument, calibration, draw, photons: int, method: str
@@ -45,7 +45,7 @@ def test_background_alone_is_no_surface(
     assert np.isfinite(image["background"].values[absent]).all()
 
 
-@pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
+@pytest.mark.parametrize("method", ["joint", "paper", "pooled", "sums"])
 @pytest.mark.parametrize("background", [10.0, 1000.0])
 def test_a_surface_that_can_be_located_is_not_missed(
     instrument, calibration, draw, background: float, method: str
@@ -59,7 +59,7 @@ def test_a_surface_that_can_be_located_is_not_missed(
     assert has_flag(image, Quality.NO_RETURN).sum() <= 7
 
 
-@pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
+@pytest.mark.parametrize("method", ["joint", "paper", "pooled", "sums"])
 def test_bright_surfaces_carry_no_flag(instrument, calibration, draw, method: str) -> None:
     counts = draw(instrument, depth=0.9, photons=620, background=62, seed=4)
     quality = hf.reconstruct(counts, calibration, method=method)["quality"].values
@@ -99,7 +99,7 @@ def test_counts_that_no_pulse_explains_give_no_depth_behind_the_camera(
     for code in (1, 100, 300, 499):
         broken = counts.copy()
         broken[..., code] += 3000
-        for method in ("joint", "paper", "pooled"):
+        for method in ("joint", "paper", "pooled", "sums"):
             image = hf.reconstruct(broken, calibration, method=method)
             depth = image["depth"].values
             assert not (depth <= 0).any()

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import norm
 
 import hueflight as hf
-from hueflight.errors import CalibrationError
+from hueflight.errors import CalibrationError, OverlappingBandsError
 from hueflight.model.instrument import Band, Instrument, Sensor, Timing
 
 ROWS, COLS = 12, 12
@@ -120,3 +120,47 @@ def test_the_published_method_states_what_its_correlation_errs(ratio, far):
         assert np.sqrt(np.mean(score[known] ** 2)) < LIMITS["paper"], background
         if background == 0:  # nor is it so wide that it says nothing
             assert np.median(image["depth_std"]) < 0.3 * instrument.bands[0].pulse_fwhm_ns
+
+
+@pytest.mark.parametrize(("bands", "direction"), [(3, "forward"), (9, "reverse"), (12, "forward")])
+def test_bands_that_overlap_widely_have_equal_brightness_and_reflectance(bands, direction):
+    """Of one reference and a scene of half its light, with 10⁴ photons per band and pixel."""
+    instrument = camera(bands, 1.5, direction)
+    calibration = hf.calibrate(counts(instrument, 1.0, 10_000, 1), instrument, distance=1.0)
+    relative = calibration.brightness / calibration.brightness.mean()
+    np.testing.assert_allclose(relative, 1.0, atol=0.05)
+    image = hf.reconstruct(counts(instrument, 1.0, 5_000, 2), calibration)
+    found = image["reflectance"].median(("row", "col"))
+    np.testing.assert_allclose(found, 0.5, atol=0.05)
+
+
+def test_bands_that_overlap_too_widely_have_an_error_of_their_own():
+    instrument = camera(2, 1.5, "forward")
+    with pytest.raises(OverlappingBandsError, match=r"band 'band 0' .* is known to \d+% only"):
+        hf.calibrate(counts(instrument, 1.0, 300, 1), instrument, distance=1.0)
+
+
+def test_bands_that_overlap_too_widely_are_told_apart_by_captures_of_each():
+    instrument = camera(2, 1.5, "forward")
+    alone = [
+        Instrument(name="one", bands=(band,), sensor=instrument.sensor, timing=instrument.timing)
+        for band in instrument.bands
+    ]
+    calibration = hf.calibrate(
+        counts(instrument, 1.0, 300, 1),
+        instrument,
+        distance=1.0,
+        bands=[counts(one, 1.0, 300, 3 + k) for k, one in enumerate(alone)],
+    )
+    assert calibration.brightness[0] == pytest.approx(calibration.brightness[1], rel=0.2)
+
+
+@pytest.mark.parametrize("dark", range(4))
+@pytest.mark.parametrize("background", [0.0, 0.1])
+def test_reference_without_one_of_the_leds(dark, background):
+    """Equally spaced bands may be mistaken for one another, but none is calibrated as lit."""
+    whole = camera(4, 8.0, "forward")
+    lit = tuple(band for number, band in enumerate(whole.bands) if number != dark)
+    shown = Instrument(name="three", bands=lit, sensor=whole.sensor, timing=whole.timing)
+    with pytest.raises(CalibrationError, match="no light of band"):
+        hf.calibrate(counts(shown, 1.0, 10_000, 1, background), whole, distance=1.0)

@@ -85,6 +85,36 @@ def test_far_objects_of_every_colour(instruments, calibrations, draw):
     assert wrong <= 4, f"{wrong} of {total}"
 
 
+@pytest.mark.parametrize("pileup_correction", [True, False])
+def test_sensors_that_do_not_report_empty_exposures(small, draw, pileup_correction):
+    """Both schedules are taken to have been seen equally long; pile-up can't be corrected."""
+    silent = [
+        with_delays(small(rows=6, cols=6, code_zero="bin"), delays) for delays in (FIRST, SECOND)
+    ]
+    calibrations = [
+        hf.calibrate(draw(one, photons=20_000, seed=index), one, distance=0.5)
+        for index, one in enumerate(silent)
+    ]
+    histograms = captures(silent, draw, depth=0.9, photons=5000)
+    image = hf.reconstruct_interleaved(
+        histograms, calibrations, depth_range=(0.2, 3.0), pileup_correction=pileup_correction
+    )
+    # 36 pixels within 5 standard deviations: a false alarm in 1 of 50 000 runs
+    assert (np.abs(image.depth - 0.9) < 5 * image.depth_std).all()
+    assert (image.depth_std < 0.02).all()
+
+
+def test_no_pixel_that_works_in_both(instruments, calibrations, draw):
+    dead = np.zeros((12, 12), bool)
+    dead[:6] = True
+    halves = [
+        dataclasses.replace(calibration, dead=half)
+        for calibration, half in zip(calibrations, (dead, ~dead), strict=True)
+    ]
+    with pytest.raises(CalibrationError, match="no pixel is usable in all calibrations"):
+        hf.reconstruct_interleaved(captures(instruments, draw, photons=500), halves)
+
+
 @pytest.mark.slow
 def test_whole_circle(instruments, calibrations, draw):
     wrong = {}
@@ -166,6 +196,7 @@ def test_shares_of_unequal_length(instruments, calibrations, draw):
     image = hf.reconstruct_interleaved(histograms, calibrations, depth_range=(0.0, 2.0))
     np.testing.assert_allclose(image.reflectance.mean(("row", "col")), 1.0, atol=0.02)
     np.testing.assert_allclose(image.depth.mean(), 0.5, atol=2e-3)
+    assert image.attrs["exposures"] == "known"
 
 
 def test_a_capture_may_count_its_pixels_delays_from_elsewhere(instruments, calibrations, draw):

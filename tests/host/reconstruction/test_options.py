@@ -2,13 +2,14 @@
 """What the joint fit leaves out: with and without each skip the image is the same."""
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytest
 
 import hueflight as hf
 from hueflight.errors import HistogramError, HueflightError
-from hueflight.fit import packing
+from hueflight.fit import kernel_arguments, packing
 from hueflight.fit import solver as kernels
 from hueflight.fit.reference import FitOptions
 from hueflight.model.pileup import coates_correction
@@ -42,6 +43,39 @@ def test_pixels_without_photons(setting):
     np.testing.assert_array_equal(image["quality"], fitted["quality"])
     assert ((image["quality"].values[3:9] & int(Quality.LOW_SIGNAL)) != 0).all()
     assert np.isnan(image["depth"].values[3:9]).all()
+
+
+@pytest.mark.parametrize("made", [list, np.array])
+def test_a_depth_range_may_be_a_list_or_an_array(setting, made):
+    _, calibration, counts = setting
+    for method in ("joint", "pooled", "sums"):
+        image = hf.reconstruct(counts, calibration, method=method, depth_range=made([0.5, 1.3]))
+        same(image, hf.reconstruct(counts, calibration, method=method, depth_range=(0.5, 1.3)))
+    with pytest.raises(HueflightError, match=r"depth_range = .*method 'paper' can't"):
+        hf.reconstruct(counts, calibration, method="paper", depth_range=made([0.5, 1.3]))
+
+
+def test_ranges_and_regions_that_make_no_sense(setting):
+    _, calibration, counts = setting
+    with pytest.raises(HueflightError, match=r"depth_range = \(1.3, 0.5\): give the nearest and"):
+        hf.reconstruct(counts, calibration, depth_range=(1.3, 0.5))
+    with pytest.raises(HistogramError, match="give a slice of rows and one of columns"):
+        hf.reconstruct(counts, calibration, region=np.s_[0:2, 0:2, 0:2])
+
+
+@pytest.mark.parametrize("second_returns", [False, True])
+def test_calibrations_of_versions_that_stated_less(setting, second_returns):
+    """What a calibration does not know of itself is not part of the deviations."""
+    _, calibration, counts = setting
+    fields = ("waveform_delay_std_ns", "flat_field_std", "brightness_std")
+    earlier = replace(calibration, **dict.fromkeys(fields))
+    image = hf.reconstruct(counts, calibration, second_returns=second_returns)
+    found = hf.reconstruct(counts, earlier, second_returns=second_returns)
+    same(image, found, names=("depth", "reflectance"))
+    for name in ("depth_std", "reflectance_std"):
+        assert np.isfinite(found[name]).all()
+        assert (found[name] <= image[name]).all()
+        assert (found[name] < image[name]).mean() > 0.5
 
 
 def test_dead_and_hot_pixels(setting):
@@ -108,7 +142,8 @@ def test_bands(setting):
         ({"region": np.s_[20:30, 0:3]}, "holds no pixel"),
         ({"region": np.ones((3, 3), bool)}, "a mask must be"),
         ({"region": "all"}, "give two slices"),
-        ({"bands": ["ultraviolet"]}, "there is no 'ultraviolet'"),
+        ({"bands": ["ultraviolet"]}, "there is no band 'ultraviolet'"),
+        ({"bands": ["300 nm"]}, "118 nm away, which is more than 10 nm"),
         ({"bands": [0, 0]}, "each band once"),
         ({"bands": []}, "one at least"),
     ],
@@ -159,9 +194,9 @@ def test_bins_without_a_pulse(setting, monkeypatch):
     assert lit[True] < 0.5 * lit[False]
     found = {}
     for skip, tables in packed.items():
-        kernels._packed[plan] = tables
+        monkeypatch.setattr(kernel_arguments, "_kept", WeakKeyDictionary())
+        monkeypatch.setattr(kernel_arguments, "_packed", WeakKeyDictionary({plan: tables}))
         found[skip] = kernels.fit_pixels(light, np.zeros(144), plan)
-    kernels._packed.pop(plan)
     np.testing.assert_allclose(found[True].delay_ns, found[False].delay_ns, rtol=0, atol=1e-5)
     np.testing.assert_allclose(found[True].amplitudes, found[False].amplitudes, rtol=0, atol=1e-2)
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import hueflight as hf
+from hueflight.batch import summarize
 from hueflight.model.pileup import coates_correction, photons_per_period
+from hueflight.reconstruction.video import Video
 from hueflight.simulator import (
     SimulationSettings,
     code_probabilities,
@@ -90,3 +92,34 @@ def test_correction_restores_the_shape_of_the_light(single_period, occupancy):
     peak = light[False].max()
     np.testing.assert_allclose(corrected, light[False], atol=2e-3 * peak)
     assert np.abs(light[True] - light[False]).max() > 0.02 * peak  # it is needed
+
+
+def of_video(counts, calibration, frames):
+    return Video(calibration).next(counts, frames=frames)
+
+
+@pytest.mark.parametrize("made_by", [hf.reconstruct, of_video])
+def test_an_unknown_number_of_exposures_is_stated(small, made_by):
+    scanner = small(rows=4, cols=4, code_zero="bin", exposure_ms=None)
+    settings = SimulationSettings.ideal(white_detections=1.0)  # at 1 m
+    target = scene("plane", scanner, distance=0.8)
+    reference, counts = (
+        simulate_histogram(target, scanner, frames=frames, settings=settings, seed=frames)
+        for frames in (20_000, 10_000)
+    )
+    assert counts.sum(axis=-1).mean() > 0.7 * 10_000  # pile-up matters
+    plain = hf.calibrate(reference, scanner, distance=0.8)
+    stated = hf.calibrate(reference, scanner, distance=0.8, frames=20_000)
+
+    def bands(calibration, frames, text):
+        image = made_by(counts, calibration, frames=frames)
+        exposures = image.attrs["exposures"]
+        assert exposures.startswith(text)
+        assert summarize(image).get("exposures", "known") == exposures
+        return image["reflectance"].mean(("row", "col")).values
+
+    np.testing.assert_allclose(bands(stated, 10_000, "known"), 1, atol=0.04)
+    assumed = bands(stated, None, "unknown: taken to be as many")
+    np.testing.assert_allclose(assumed, bands(stated, 20_000, "known"))
+    np.testing.assert_allclose(bands(plain, None, "unknown for the reference"), 0.5, atol=0.02)
+    bands(plain, 10_000, "unknown for the reference")

@@ -46,6 +46,21 @@ def test_what_no_wait_would_help_is_left_out(scene):
     assert share_known(image, rule) == 1.0
 
 
+def test_nothing_is_waited_for_where_no_pixel_works(scene):
+    image = scene(300).copy(deep=True)
+    image["quality"].values[:] |= int(Quality.DEAD)
+    assert frames_needed(image, StopRule(depth_std=1e-6), 100) == 100
+
+
+def test_frames_needed_for_reflectance(scene):
+    image = scene(30_000)
+    worst = float(np.median(image["reflectance_std"].values.max(axis=-1)))
+    rule = StopRule(reflectance_std=worst / 2, share=0.5)
+    assert frames_needed(image, rule, 100) == pytest.approx(400, rel=0.02)
+    both = StopRule(reflectance_std=worst / 2, depth_std=1e9, share=0.5)
+    assert frames_needed(image, both, 100) == frames_needed(image, rule, 100)
+
+
 def test_every_band_counts(scene):
     image = scene(30_000).copy(deep=True)
     rule = StopRule(reflectance_std=float(image["reflectance_std"].max()) * 1.001, share=1)

@@ -53,6 +53,16 @@ def test_the_image_is_the_same(setting, tmp_path, monkeypatch, store, dtype, met
         np.testing.assert_allclose(image[name], values, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
+def test_rows_that_are_not_asked_for_are_not_read(setting, tmp_path, monkeypatch):
+    _, calibration, counts = setting
+    monkeypatch.setattr(stored_counts, "BLOCK_BYTES", 6 * counts[0].nbytes)
+    region = np.s_[0:4, 2:8]
+    image = hf.reconstruct(as_memory_map(tmp_path, counts), calibration, region=region)
+    expected = hf.reconstruct(counts, calibration, region=region)
+    np.testing.assert_allclose(image["depth"], expected["depth"], rtol=1e-6)
+    assert np.isfinite(image["depth"].values).sum() == 24
+
+
 @pytest.mark.parametrize("method", ["joint", "paper", "pooled"])
 @pytest.mark.parametrize("dtype", ["=u2", "<u2", ">u2"])
 def test_counts_in_any_order_of_bytes_that_are_not_aligned(setting, method, dtype):

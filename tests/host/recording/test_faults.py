@@ -42,6 +42,15 @@ def write_all(writer: RecordingWriter, packets: list[bytes]) -> None:
         writer.write(packet)
 
 
+def write_and_wait(writer: RecordingWriter, packets: list[bytes]) -> None:
+    """Write packets, and let each wait for the disk end before the next one."""
+    for packet in packets:
+        writer.write(packet)
+        writer.flush()
+        if writer._settling is not None:
+            writer._settling.wait()
+
+
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     return Disk(monkeypatch)
@@ -256,6 +265,23 @@ def test_a_disk_that_fails_amid_a_segment(
     assert result.frames == writer.frames  # this disk has them after all
 
 
+def test_no_frame_is_both_stored_and_lost(
+    sync: SlowSync, tmp_path: Path, small: Make, frames: Make
+) -> None:
+    """A wait for the disk fails while later packets are stored."""
+    sync.error = errno.EIO
+    sync.let.set()
+    writer = RecordingWriter(tmp_path / "run.mcap", small(), chunk_bytes=500, settle_bytes=2000)
+    with pytest.raises(RecordingError, match="Input/output error"):
+        write_and_wait(writer, frames(60))
+    written = writer.report.frames
+    assert writer.frames == written
+    assert writer.lost_frames == 0
+    writer.close()
+    result = recover(tmp_path / "run.mcap", tmp_path / "out.mcap")
+    assert result.frames == writer.frames
+
+
 def test_a_disk_that_is_full_while_it_is_waited_for(
     sync: SlowSync, disk: Disk, tmp_path: Path, small: Make, frames: Make
 ) -> None:
@@ -315,9 +341,70 @@ def test_a_file_that_can_not_be_read(recorded: Make, monkeypatch: pytest.MonkeyP
             recording.histogram()
 
 
+def test_a_file_that_can_not_be_opened(recorded: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, _ = recorded()
+
+    def refuse(*_: Any) -> int:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr("hueflight.recording.segment_reader.open_to_read", refuse)
+    with pytest.raises(RecordingError, match=r"can't read .*run.mcap: Permission denied"):
+        open_recording(path)
+
+
 def test_a_file_that_shrinks(recorded: Make) -> None:
     path, _ = recorded()
     with open_recording(path) as recording:
         os.truncate(path, 5000)
         with pytest.raises(RecordingError, match="ends at byte 5000"):
             recording.histogram()
+
+
+def test_memory_that_is_exhausted(
+    tmp_path: Path, small: Make, frames: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packets = frames(40)
+    writer = RecordingWriter(tmp_path / "run.mcap", small())
+    write_all(writer, packets[:30])
+    writer.flush()
+
+    def lack(*_: Any, **__: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("hueflight.recording.segment.encode_chunk", lack)
+    write_all(writer, packets[30:])
+    with pytest.raises(RecordingError, match="memory is exhausted; 30 frames before it are kept"):
+        writer.flush()
+    writer.close()
+    assert (writer.frames, writer.lost_frames) == (30, 10)
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert list(recording.packets()) == packets[:30]
+
+
+def test_an_interruption_between_two_segments(
+    tmp_path: Path, small: Make, frames: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Control-C when the next file is begun: later packets are lost, and this is said once."""
+    packets = frames(40)
+    writer = RecordingWriter(tmp_path / "run.mcap", small(), segment_bytes=4000)
+    plain = writer._start_segment
+
+    def interrupt() -> None:
+        writer._start_segment = plain
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_start_segment", interrupt)
+    errors: list[BaseException] = []
+    for packet in packets:
+        try:
+            writer.write(packet)
+            writer.flush()
+        except (KeyboardInterrupt, RecordingError) as error:
+            errors.append(error)
+    writer.close()
+    assert [type(error) for error in errors] == [KeyboardInterrupt, RecordingError]
+    assert "there is no file to write to" in str(errors[1])
+    assert 0 < writer.frames < 40
+    assert writer.frames + writer.lost_frames == 40
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert list(recording.packets()) == packets[: writer.frames]

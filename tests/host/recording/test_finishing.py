@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hueflight.errors import RecordingError
+from hueflight.files import PARTIAL_SUFFIX
 from hueflight.model.instrument import Instrument
 from hueflight.recording import RecordingWriter, finish_recording, open_recording
 from hueflight.recording.layout import part_path, segment_files, segment_path
@@ -49,6 +50,20 @@ def test_all_frames_are_kept(
         assert found.info().complete
         assert found.info().report["frames"] == wanted.info().report["frames"] == 60
     assert finish_recording(path) == 0
+
+
+def test_what_an_interrupted_try_has_left_is_removed(
+    tmp_path: Path, small: Make, frames: Callable[..., list[bytes]]
+) -> None:
+    path = tmp_path / "cut.mcap"
+    cut_off(path, small(), frames(20), segment_bytes=1 << 30)
+    left = tmp_path / f".cut.mcap.1{PARTIAL_SUFFIX}"
+    left.mkdir()
+    (left / "cut.mcap").write_bytes(b"half")
+    assert finish_recording(path) == 1
+    assert list(tmp_path.iterdir()) == [path]
+    with open_recording(path) as recording:
+        assert list(recording.packets()) == frames(20)
 
 
 def test_a_file_that_was_finished_already_is_not_needed(

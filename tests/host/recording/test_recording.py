@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing and reading recordings: what comes back, slices, files, errors."""
 
+import dataclasses
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -11,15 +12,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import AttachmentIndex
 from mcap.writer import Writer
 
 import hueflight as hf
 from hueflight.errors import RecordingError
 from hueflight.ingest import accumulate, accumulate_by_step
+from hueflight.ingest.buffer import PacketBuffer
 from hueflight.recording import RecordingWriter, open_recording
 from hueflight_protocol import Event, PacketHeader, encode_event
 
 Make = Callable[..., Any]
+NEEDED = ("recording.reader.LEAST_BYTES", "ingest.buffer.LEAST_BYTES")
 SMALL_FILES = {"segment_bytes": 4500, "chunk_bytes": 700}
 
 
@@ -65,7 +69,7 @@ def long_recording(
     return path, packets
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(bounds=st.tuples(st.integers(0, 120), st.integers(0, 120)))
 def test_every_slice_of_frames(
     bounds: tuple[int, int], long_recording: tuple[Path, list[bytes]]
@@ -80,6 +84,26 @@ def test_every_slice_of_frames(
         np.testing.assert_array_equal(counts, expected)
         assert report.frames == stop - start
         assert report.photons == report.hits == expected[..., 1:].sum()
+
+
+def test_a_recording_longer_than_the_memory_for_it(
+    long_recording: tuple[Path, list[bytes]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, packets = long_recording
+    for name in ("recording.reader.BUFFER_BYTES", *NEEDED):
+        monkeypatch.setattr(f"hueflight.{name}", 2000)
+    emptied: list[None] = []
+    plain = PacketBuffer.release
+    monkeypatch.setattr(
+        PacketBuffer, "release", lambda self: (emptied.append(None), plain(self))[1]
+    )
+    with open_recording(path) as recording:
+        recording.histogram()
+        assert len(emptied) > 5
+        for start, stop in ((0, 120), (7, 101)):
+            assert list(recording.packets(start, stop)) == packets[start:stop]
+            expected, _ = accumulate(b"".join(packets[start:stop]), recording.instrument)
+            np.testing.assert_array_equal(recording.histogram(start, stop), expected)
 
 
 def test_slices_of_time(recorded: Make) -> None:
@@ -149,6 +173,55 @@ def test_damage_is_kept_as_received(tmp_path: Path, small: Make, frames: Make) -
         assert list(recording.packets()) == packets[:4] + packets[5:]
         assert recording.accumulate()[1].missing == 1
         assert recording.info().report["damaged"] == 2  # the cut one at the end
+
+
+def test_more_frames_in_one_piece_than_a_chunk_takes(
+    tmp_path: Path, small: Make, frames: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hueflight.recording.writer.FRAMES_AT_HAND", 16)
+    packets = frames(50)
+    with RecordingWriter(tmp_path / "run.mcap", small()) as writer:
+        writer.write(b"".join(packets))
+        assert writer.frames == 48
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert list(recording.packets()) == packets
+
+
+def test_a_chunk_that_was_damaged_after_it_was_indexed(recorded: Make) -> None:
+    """Frames before the slice are gone: no other takes the place of one that was asked for."""
+    path, packets = recorded(10)
+    octets = bytearray(path.read_bytes())
+    for packet in (packets[3], packets[9]):
+        octets[octets.index(packet) + 100] ^= 1
+    path.write_bytes(octets)
+    with open_recording(path) as recording:
+        assert list(recording.packets()) == packets[:3] + packets[4:9]
+        assert list(recording.packets(9)) == []
+        assert recording.info().seconds is None
+
+
+def test_pausing(tmp_path: Path, small: Make, frames: Make) -> None:
+    packets = frames(30)
+    with RecordingWriter(tmp_path / "run.mcap", small()) as writer:
+        writer.resume()  # nothing has failed
+        for packet in packets[:10]:
+            writer.write(packet)
+        writer.suspend("the laser is off")
+        writer.suspend("a second reason")
+        assert str(writer.error) == "the laser is off"
+        for packet in packets[10:20]:
+            writer.write(packet)
+        writer.flush()
+        writer.resume()
+        for packet in packets[20:]:
+            writer.write(packet)
+    writer.suspend("after the end")
+    writer.resume()
+    assert writer.error is None
+    assert (writer.frames, writer.lost_frames) == (20, 10)
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert list(recording.packets()) == packets[:10] + packets[20:]
+        recording.close()  # the block closes it again
 
 
 def test_empty_recording(tmp_path: Path, small: Make) -> None:
@@ -303,6 +376,9 @@ def test_names_that_can_not_be(tmp_path: Path, small: Make, recorded: Make) -> N
     path, _ = recorded()
     with pytest.raises(RecordingError, match="exists already: choose another name"):
         RecordingWriter(path, small())
+    for size in ("segment_bytes", "chunk_bytes", "settle_bytes"):
+        with pytest.raises(RecordingError, match="settle_bytes must be at least 1"):
+            RecordingWriter(tmp_path / "x.mcap", small(), **{size: 0})
     (tmp_path / "file").write_text("")
     with pytest.raises(RecordingError, match="can't start"):
         RecordingWriter(tmp_path / "file" / "x.mcap", small())
@@ -354,6 +430,49 @@ def test_index_that_contradicts_itself(recorded: Make) -> None:
         patch.setattr(segment.Segment, "_index_bytes", wrong)
         path, _ = recorded(name="wrong.mcap")
     with pytest.raises(RecordingError, match="index of frames contradicts itself"):
+        open_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("recording.json", {"offset": 1 << 40}, "'recording.json' lies outside the file; try rec"),
+        ("frames.index", {"name": "recording.json"}, "'recording.json' is called 'frames.index'"),
+    ],
+)
+def test_attachments_that_are_elsewhere(
+    name: str,
+    change: dict[str, Any],
+    message: str,
+    recorded: Make,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The summary has the right CRC, and sends the reader to another place."""
+    from hueflight.recording import segment
+
+    def wrong(*fields: Any) -> AttachmentIndex:
+        right = AttachmentIndex(*fields)
+        return dataclasses.replace(right, **change) if right.name == name else right
+
+    monkeypatch.setattr(segment, "AttachmentIndex", wrong)
+    path, _ = recorded()
+    with pytest.raises(RecordingError, match=message):
+        open_recording(path)
+
+
+def test_an_index_of_another_size(recorded: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hueflight.recording import segment
+
+    monkeypatch.setattr(segment.Segment, "_index_bytes", lambda _: b"odd")
+    path, _ = recorded()
+    with pytest.raises(RecordingError, match="its index of frames is damaged; try recover"):
+        open_recording(path)
+
+
+def test_a_recording_of_a_later_version(recorded: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hueflight.recording.writer.FORMAT", 99)
+    path, _ = recorded()
+    with pytest.raises(RecordingError, match=r"its format is 99, this program reads \d+"):
         open_recording(path)
 
 

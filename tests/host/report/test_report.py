@@ -27,7 +27,7 @@ def small() -> Instrument:
 def report(small: Instrument, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict]:
     out = tmp_path_factory.mktemp("report")
     pages = {"more.html": FurtherPage("Look <closer>", lambda found: f"{found.main.frames} frames")}
-    return out, make_report(out, instrument=small, frames=10_000, seed=3, pages=pages)
+    return out, make_report(out, instrument=small, frames=10_000, pages=pages)
 
 
 def test_every_figure_is_a_picture_of_its_own_and_in_the_page(report: tuple[Path, dict]) -> None:

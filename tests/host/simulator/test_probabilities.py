@@ -124,7 +124,7 @@ def test_tiles_are_the_whole_cut_in_rows(paper, resized, monkeypatch):
 
 
 @given(delay=st.floats(-400, 900), band=st.integers(0, 8))
-@hypothesis_settings(max_examples=60, deadline=None)
+@hypothesis_settings(max_examples=60)
 def test_table_agrees_with_exact_pulses_to_its_bound(delay, band):
     paper = Instrument.load("paper")
     bins = paper.time_bins()

@@ -15,7 +15,7 @@ from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTr
 from hueflight.errors import FileFormatError
 from hueflight.export import Format
 from hueflight.files import staged
-from hueflight.importers.options import ReadOptions
+from hueflight.importers.options import ReadOptions, require_instrument
 from hueflight.model.instrument import Instrument
 
 MAGIC = b"EXAMPLE\0"
@@ -41,16 +41,15 @@ def open_part(address: RigAddress, instrument: Instrument, /) -> RigPart:
 def read_counts(
     path: Path, instrument: Instrument | None, options: ReadOptions, /
 ) -> tuple[NDArray[np.uint32], Instrument]:
-    """Counts behind a magic number, as unsigned 32-bit integers, and their sum at the end."""
+    """Counts behind a magic number, as unsigned 32-bit integers."""
     options.refuse_all_but(path=path)
-    if instrument is None:
-        raise FileFormatError(f"{str(path)!r} states no instrument: name one with --instrument")
+    given = require_instrument(instrument, path)
     content = path.read_bytes()
-    size = 4 * int(np.prod(instrument.histogram_shape))
+    size = 4 * int(np.prod(given.histogram_shape))
     if content[:8] != MAGIC or len(content) != 8 + size:
         raise FileFormatError(f"{str(path)!r} is no example file, or was cut short")
-    counts = np.frombuffer(content, "<u4", offset=8).reshape(instrument.histogram_shape)
-    return counts, instrument
+    counts = np.frombuffer(content, "<u4", offset=8).reshape(given.histogram_shape)
+    return counts, given
 
 
 def write_text(image: xr.Dataset, path: Path, /, *, overwrite: bool = False) -> None:

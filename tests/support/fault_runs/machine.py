@@ -3,23 +3,22 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import time
 import urllib.error
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import hueflight as hf
 from hueflight.emulation import CameraModel, FrameBank
 from support.clock_faults import ClockFaults
-from support.daemon_process import PATIENCE_S, Daemon, until
+from support.daemon_process import Daemon, until
 from support.disk_faults import DiskFaults
 from support.emulated_camera import EmulatedCamera
 from support.fault_runs.plan import FaultPlan
 from support.mounts import SmallDisk
+from support.small_daemon import small_instrument
 from support.usbfs import UsbfsBus
 
 SMALL_MB, IMAGE_MB = 96, 96
@@ -43,7 +42,9 @@ class Machine:
         self.plan, self.folder = plan, folder
         folder.mkdir(parents=True)
         self.data = folder / "data"
-        self.instrument = _instrument(folder, plan.rate_hz)
+        self.instrument = small_instrument(
+            folder, frame_rate_hz=plan.rate_hz, exposure_ms=min(1.0, 500 / plan.rate_hz)
+        )
         sensor = hf.Instrument.load(self.instrument).sensor
         bank = FrameBank.random(sensor, occupancy=plan.occupancy, frames=16, seed=plan.seed)
         self.model = CameraModel(sensor, bank, buffer_bytes=BUFFER_BYTES)
@@ -63,20 +64,29 @@ class Machine:
         self.ended_badly: set[str] = set()
         self.exact = True
         self.logs: list[str] = []
-        self.daemon: Daemon = None  # type: ignore[assignment]  # started below
-        self.bus.plug()
-        self.start()
+        self._daemon: Daemon | None = None
 
     def close(self) -> None:
         """Leave nothing behind but files."""
-        if self.daemon is not None:
-            _, log = self.daemon.end(signal.SIGKILL)
+        if self._daemon is not None:
+            _, log = self._daemon.end(signal.SIGKILL)
             self.logs.append(log)
         self.bus.close()
         if self.disk is not None:
             self.disk.unmount()
 
     # -- the process ----------------------------------------------------------------------------
+
+    @property
+    def daemon(self) -> Daemon:
+        """The present process, or the last one."""
+        assert self._daemon is not None, "the daemon was not started"
+        return self._daemon
+
+    def begin(self) -> None:
+        """Plug the camera in, and start the first process."""
+        self.bus.plug()
+        self.start()
 
     def start(self) -> None:
         """Start the daemon, and wait until frames come."""
@@ -92,7 +102,7 @@ class Machine:
         environment = {name: value for part in parts for name, value in part.items()}
         environment["LD_PRELOAD"] = ":".join(part["LD_PRELOAD"] for part in parts)
         environment["OPENBLAS_NUM_THREADS"] = "1"
-        self.daemon = Daemon(config, environment, faults=self.program_faults)
+        self._daemon = Daemon(config, environment, faults=self.program_faults)
         self.frames_come()
 
     def end(self, number: int) -> None:
@@ -182,20 +192,3 @@ class Machine:
 
 
 Fault = Callable[[Machine, Any], None]
-
-
-def _instrument(folder: Path, rate_hz: int) -> Path:
-    """The paper's instrument with few pixels, as a file."""
-    text = (resources.files("hueflight.model") / "presets" / "paper.toml").read_text("utf-8")
-    for name, value in (
-        ("rows", 24), ("cols", 16), ("frame_rate_hz", rate_hz),
-        ("exposure_ms", min(1.0, 500 / rate_hz)), ("pixel_width_um", 147.2),
-        ("pixel_height_um", 73.6),
-    ):  # fmt: skip
-        text = re.sub(rf"(?m)^{name} = \S+", f"{name} = {value}", text)
-    path = folder / "instrument.toml"
-    path.write_text(text)
-    return path
-
-
-__all__ = ["LATE_S", "PATIENCE_S", "Fault", "Machine"]

@@ -63,7 +63,8 @@ def fault_run(seed: int, build: Path, *, keep: bool = False) -> FaultResult:
         (folder / "failure.txt").write_text(f"{plan}\n{words}")
     finally:
         if machine is not None:
-            failure = failure or _closed(machine)
+            closing = _closed(machine)  # in any case
+            failure = failure or closing
             (folder / "log.jsonl").write_text("".join(machine.logs))
     if failure:
         failure += f" (see {folder})"
@@ -90,6 +91,7 @@ def _closed(machine: Machine) -> str:
 
 
 def _run(plan: FaultPlan, machine: Machine) -> int:
+    machine.begin()
     for step in plan.steps:
         machine.record()
         machine.note_told()

@@ -20,6 +20,7 @@ ORDER = (
     "errors",
     "lazy",
     "memory",
+    "arguments",
     "recognition",
     "model",
     "backend",

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import re
 import signal
 from collections.abc import Callable, Iterator
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +13,16 @@ import pytest
 import hueflight as hf
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.emulation.frame_bank import simulated_packets
-from support.daemon_process import Daemon
+from hueflight.simulator import simulate_capture
+from support.browser import open_browser, require_chromium, wait
+from support.daemon_process import PATIENCE_S, Daemon, until
+from support.small_daemon import small_instrument
 
 
 @pytest.fixture(scope="session")
 def instrument_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The paper's instrument with few pixels, as a TOML file."""
-    text = (resources.files("hueflight.model") / "presets" / "paper.toml").read_text("utf-8")
-    text = re.sub(r"(?m)^rows = 192$", "rows = 48", text)
-    text = re.sub(r"(?m)^cols = 128$", "cols = 32", text)
-    # the same field of view with larger pixels
-    text = text.replace("pixel_width_um = 18.4", "pixel_width_um = 73.6")
-    text = text.replace("pixel_height_um = 9.2", "pixel_height_um = 36.8")
-    path = tmp_path_factory.mktemp("instrument") / "small.toml"
-    path.write_text(text)
-    return path
+    return small_instrument(tmp_path_factory.mktemp("instrument"), rows=48, cols=32)
 
 
 @pytest.fixture(scope="session")
@@ -84,16 +77,10 @@ def start_daemon(bus: Any, tmp_path: Path, instrument_file: Path) -> Iterator[Ca
 
 
 @pytest.fixture(scope="session")
-def fast_instrument(instrument_file: Path) -> Path:
+def fast_instrument(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small instrument at 4000 frames per second, which fills a small disk in seconds."""
-    path = instrument_file.with_name("fast.toml")
-    text = instrument_file.read_text()
-    path.write_text(
-        text.replace("frame_rate_hz = 480", "frame_rate_hz = 4000").replace(
-            "exposure_ms = 1.0", "exposure_ms = 0.2"
-        )
-    )
-    return path
+    folder = tmp_path_factory.mktemp("instrument")
+    return small_instrument(folder, rows=48, cols=32, frame_rate_hz=4000, exposure_ms=0.2)
 
 
 @pytest.fixture
@@ -125,3 +112,47 @@ def start_simulated(tmp_path: Path, fast_instrument: Path) -> Iterator[Callable[
     finally:
         for daemon in started:
             daemon.end(signal.SIGKILL)
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory, fast_instrument: Path) -> Iterator[Daemon]:
+    """A calibrated daemon, whose data lie in the folder `daemon.data`."""
+    require_chromium()
+    folder = tmp_path_factory.mktemp("daemon")
+    instrument = hf.Instrument.load(fast_instrument)
+    reference = simulate_capture("reference", instrument, frames=4000, seed=5)
+    kept = folder / "data/calibrations/20260101T000000Z"
+    kept.mkdir(parents=True)
+    hf.calibrate(reference, instrument, distance=0.4).save(kept / "calibration.zarr")
+    config = folder / "daemon.toml"
+    config.write_text(
+        f'name = "test bench"\ninstrument = "{fast_instrument}"\ndata = "{folder}/data"\n'
+        'rig = "simulated:fig1?frames=960"\n'
+        "[server]\nport = 0\nrequests_per_s = 200\nburst = 400\n[recording]\nmin_free_mb = 1\n"
+        '[materials]\nlibrary = "colorchecker"\nnames = ["red", "blue"]\nindices = ["NGRDI"]\n'
+    )
+    made = Daemon(config, {})
+    made.data = folder / "data"  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        until(lambda: made.status()["kind"] == "live", "the live run is on")
+        yield made
+    finally:
+        made.end(signal.SIGKILL)
+
+
+@pytest.fixture
+def page(daemon: Daemon, tmp_path: Path) -> Iterator[Any]:
+    """The page of the daemon; errors in its console fail the test."""
+    with open_browser(tmp_path / "profile") as browser:
+        context = browser.new_context(viewport={"width": 1366, "height": 768})
+        opened = context.new_page()
+        opened.set_default_timeout(PATIENCE_S * 1e3)
+        failures: list[str] = []
+        opened.on("pageerror", lambda error: failures.append(str(error)))
+        opened.goto(daemon.url)
+        wait(opened, "#state", "live")
+        opened.wait_for_selector("#hint", state="hidden")
+        opened.focus("#view")
+        opened.daemon = daemon
+        yield opened
+    assert not failures

@@ -14,16 +14,15 @@ import pytest
 from hueflight.daemon.http.server import REQUEST_S
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.recording import open_recording
-from support.browser import open_browser, require_chromium
+from support.browser import open_browser, require_chromium, wait
 from support.daemon_process import PATIENCE_S, Daemon, until
 
 Start = Callable[[], Daemon]
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 LONGER_S = REQUEST_S + 2.0  #: than any limit of a request
 COLOURS_ON_THE_PLANE = """() => {
-  const canvas = document.getElementById("plane"), gl = canvas.getContext("webgl2");
-  const pixels = new Uint8Array(4 * canvas.width * canvas.height);
-  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  const canvas = document.getElementById("plane"), { width, height } = canvas;
+  const pixels = canvas.getContext("2d").getImageData(0, 0, width, height).data;
   const seen = new Set();
   for (let i = 0; i < pixels.length; i += 4) {
     seen.add(pixels[i] << 16 | pixels[i + 1] << 8 | pixels[i + 2]);
@@ -49,17 +48,6 @@ def page(start_daemon: Start, tmp_path: Path) -> Iterator[Any]:
         opened.daemon = daemon
         yield opened
     assert not failures
-
-
-def wait(page: Any, selector: str, text: str) -> None:
-    """Until the element says `text`.
-
-    A function, not an expression: Playwright evaluates an expression again at every look, which
-    the page's Content-Security-Policy refuses from the second on.
-    """
-    page.wait_for_function(
-        "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
-    )
 
 
 def test_a_session_at_the_instrument(

@@ -5,80 +5,27 @@ from __future__ import annotations
 
 import csv
 import re
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import hueflight as hf
-from hueflight.simulator import simulate_capture
-from support.browser import open_browser, require_chromium
+from support.browser import open_browser, require_chromium, wait
 from support.daemon_process import PATIENCE_S, Daemon, until
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 SHARE_DRAWN = """() => {
   const shown = document.getElementById("cloud").hidden ? "plane" : "cloud";
-  const canvas = document.getElementById(shown);
-  const gl = canvas.getContext("webgl2"), pixels = new Uint8Array(4 * canvas.width * canvas.height);
-  gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+  const copy = new OffscreenCanvas(300, 300), c = copy.getContext("2d");
+  c.drawImage(document.getElementById(shown), 0, 0, 300, 300);
+  const pixels = c.getImageData(0, 0, 300, 300).data;
   let bright = 0;
   for (let i = 0; i < pixels.length; i += 4) {
     if (Math.max(pixels[i], pixels[i + 1], pixels[i + 2]) > 40) bright++;
   }
   return (4 * bright) / pixels.length;
 }"""
-
-
-@pytest.fixture(scope="module")
-def daemon(tmp_path_factory: pytest.TempPathFactory, fast_instrument: Path) -> Iterator[Daemon]:
-    """A calibrated daemon, whose data lie in the folder `daemon.data`."""
-    require_chromium()
-    folder = tmp_path_factory.mktemp("daemon")
-    instrument = hf.Instrument.load(fast_instrument)
-    reference = simulate_capture("reference", instrument, frames=4000, seed=5)
-    kept = folder / "data/calibrations/20260101T000000Z"
-    kept.mkdir(parents=True)
-    hf.calibrate(reference, instrument, distance=0.4).save(kept / "calibration.zarr")
-    config = folder / "daemon.toml"
-    config.write_text(
-        f'name = "test bench"\ninstrument = "{fast_instrument}"\ndata = "{folder}/data"\n'
-        'rig = "simulated:fig1?frames=960"\n'
-        "[server]\nport = 0\nrequests_per_s = 200\nburst = 400\n[recording]\nmin_free_mb = 1\n"
-    )
-    made = Daemon(config, {})
-    made.data = folder / "data"  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        until(lambda: made.status()["kind"] == "live", "the live run is on")
-        yield made
-    finally:
-        made.end(signal.SIGKILL)
-
-
-@pytest.fixture
-def page(daemon: Daemon, tmp_path: Path) -> Iterator[Any]:
-    """The page of the daemon; errors in its console fail the test."""
-    with open_browser(tmp_path / "profile") as browser:
-        context = browser.new_context(viewport={"width": 1366, "height": 768})
-        opened = context.new_page()
-        opened.set_default_timeout(PATIENCE_S * 1e3)
-        failures: list[str] = []
-        opened.on("pageerror", lambda error: failures.append(str(error)))
-        opened.goto(daemon.url)
-        wait(opened, "#state", "live")
-        opened.wait_for_selector("#hint", state="hidden")
-        opened.focus("#view")
-        opened.daemon = daemon
-        yield opened
-    assert not failures
-
-
-def wait(page: Any, selector: str, text: str) -> None:
-    """Until the element says `text`."""
-    page.wait_for_function(
-        "([s, t]) => document.querySelector(s)?.textContent.includes(t)", arg=[selector, text]
-    )
 
 
 def drag(page: Any, begin: tuple[float, float], end: tuple[float, float], *on: str) -> None:
@@ -145,6 +92,30 @@ def test_the_scale(page: Any) -> None:
     page.focus("#view")
     page.keyboard.press("5")
     wait(page, "#bar-unit", "photons per frame")
+
+
+COLORS_DRAWN = """() => {
+  const canvas = document.getElementById("materials");
+  if (canvas.hidden || canvas.width < 2) return 0;
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  return new Set(new Uint32Array(data.buffer)).size;
+}"""
+
+
+def test_maps_of_materials(page: Any) -> None:
+    page.wait_for_selector("#materials-tab", state="visible")
+    page.keyboard.press("6")
+    until(lambda: page.evaluate(COLORS_DRAWN) > 20, "a map is drawn")
+    box = page.locator("#view").bounding_box()
+    page.mouse.move(box["x"] + 40, box["y"] + 40)
+    wait(page, "#hover", "abundance of red: ")
+    page.select_option("#material", "abundance_blue")
+    page.focus("#view")
+    until(lambda: page.evaluate(COLORS_DRAWN) > 20, "the other one is drawn")
+    assert saved(page, "png").startswith(b"\x89PNG")
+    page.focus("#view")
+    page.keyboard.press("1")
+    page.wait_for_function("() => document.getElementById('materials').hidden")
 
 
 def test_measuring_and_saving(page: Any) -> None:
@@ -229,6 +200,11 @@ def test_recordings(page: Any, daemon: Any) -> None:
     text = page.inner_text("[data-name=first]")
     assert "scene: by hand" in text
     assert "500 frames" in page.inner_text("[data-name=second]")
+    for width in (390, 320):  # on a phone, all buttons can be reached without scrolling sideways
+        page.set_viewport_size({"width": width, "height": 844})
+        widths = "list => [list.scrollWidth, list.clientWidth]"
+        needed, given = page.eval_on_selector(".scrolls:has(#recordings-list)", widths)
+        assert needed <= given
     with page.expect_download() as download:
         page.click("[data-name=second] button:text('Download')")
     kept = daemon.data / "recordings/second.mcap"
@@ -272,6 +248,51 @@ def test_the_camera_is_set(page: Any) -> None:
     page.click("#controls-default")
     until(lambda: page.daemon.get("/api/controls")["rows"] is None, "the defaults are back")
     assert page.daemon.get("/api/controls")["masked"] == []
+
+
+def test_the_schedule_of_the_leds_is_set(page: Any) -> None:
+    """Depth goes with the schedule of its calibration, and comes back with it."""
+    page.keyboard.press("ArrowRight")
+    wait(page, "#pixel-depth", " m")
+    page.keyboard.press("o")
+    page.click("#schedule summary")
+    page.locator("#delays input").nth(1).fill("wrong")
+    page.click("#controls-set")
+    # the browser says so, and nothing is sent
+    assert page.locator("#delays input:invalid").count() == 1
+    page.locator("#delays input").nth(1).fill("55")  # until after the third band begins
+    page.click("#controls-set")
+    wait(page, "#message", "coincide")
+    page.focus("#view")
+    page.keyboard.press("o")
+    page.click("#schedule summary")
+    wait(page, "#schedule-note", "in steps of 1.25 ns, at most 4 for each LED")
+    for width in (390, 320, 1366):  # two phones and a laptop
+        page.set_viewport_size({"width": width, "height": 768})
+        widths = "dialog => [dialog.scrollWidth, dialog.clientWidth]"
+        needed, given = page.eval_on_selector("#controls-dialog", widths)
+        assert needed <= given
+    page.locator("#delays input").nth(1).fill("35")
+    page.locator("#delays input").nth(8).fill("245")
+    page.click("#controls-set")
+    wait(page, "#message", "The camera was set")
+    schedule = page.daemon.get("/api/controls")["schedule"]
+    assert [delays[0] for delays in schedule["delays_ns"]] == [0, 35, *range(60, 240, 30), 245]
+    wait(page, "#f-calibration", "by simulation")  # no other one fits
+    page.focus("#view")
+    page.keyboard.press("o")
+    page.wait_for_function(
+        "() => document.querySelector('#delays label:last-child input').value === '245'"
+    )
+    page.fill("#period", "300")
+    page.click("#controls-set")
+    until(lambda: page.daemon.get("/api/controls")["schedule"]["period_ns"] == 300, "the period")
+    page.focus("#view")
+    page.keyboard.press("o")
+    page.click("#controls-default")
+    until(lambda: page.daemon.get("/api/controls")["schedule"] is None, "the default is back")
+    wait(page, "#f-calibration", "calibrated at 0.4 m")
+    wait(page, "#pixel-depth", " m")
 
 
 @pytest.mark.parametrize("size", [(1366, 768), (3840, 2160), (390, 844), (320, 640)])

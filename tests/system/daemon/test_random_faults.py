@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from support.emulation import require_packages
+from support.fault_runs import machine
 from support.fault_runs.faults import FAULTS
 from support.fault_runs.plan import DISK, GROUPS, make_plan
 from support.fault_runs.run import fault_run
@@ -23,6 +25,26 @@ def test_every_fault_happens_and_is_replayed() -> None:
     named |= {name for names in DISK.values() for name in names}
     assert named == set(FAULTS)
     assert {step.fault for seed in range(1000) for step in make_plan(seed).steps} == named
+
+
+def test_a_run_that_fails_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its disk is unmounted, also if the daemon did not even start."""
+    require_packages()
+    require_mounts()
+
+    def no_daemon(*_: object, **__: object) -> None:
+        raise AssertionError("it did not start")
+
+    monkeypatch.setattr(machine, "Daemon", no_daemon)
+    seed = next(seed for seed in range(100) if make_plan(seed).disk == "small")
+    result = fault_run(seed, tmp_path / "shims")
+    assert "it did not start" in result.failure
+    folder = Path(result.failure.partition("(see ")[2].removesuffix(")"))
+    assert (folder / "failure.txt").exists()
+    assert not (folder / "run" / "data").is_mount()
+    shutil.rmtree(folder)
 
 
 @pytest.mark.slow

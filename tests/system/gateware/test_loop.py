@@ -10,9 +10,12 @@ from hueflight import simulator
 from hueflight.ingest import HistogramStream, accumulate_codes
 from hueflight_hdl.camera.camera import CameraConfig
 from hueflight_hdl.camera.frame_format import FrameFormat
+from hueflight_hdl.camera.sensor.ddr.link_format import LinkFormat
 from hueflight_hdl.testbench.camera import SimulatedCamera
+from hueflight_hdl.testbench.ddr_sensor import PinnedCamera, SensorPins, frame_words
 
 FRAMES = 600
+PIN_FRAMES = 100
 
 
 def run_through_gateware(codes, camera):
@@ -28,6 +31,42 @@ def run_through_gateware(codes, camera):
     camera.run(clocks=5000)
     yield camera.packets()
     assert camera.read("frames_sent")["value"] == FRAMES
+
+
+@pytest.mark.slow
+def test_photons_through_pins_give_the_same_image(compiler):
+    """Photons, serial lanes of the sensor, packets and image, bit for bit."""
+    instrument = hf.Instrument.load("paper")
+    scene = simulator.scene("fig1", instrument)
+    blocks = simulator.simulate_codes(scene, instrument, frames=PIN_FRAMES, seed=5)
+    codes = np.concatenate(list(blocks))
+
+    form = FrameFormat(rows=instrument.sensor.rows, cols=instrument.sensor.cols)
+    link = LinkFormat(form=form)
+    pins = SensorPins(link, [7, 0, 12, 3, 9, 1, 11, 5, 4])
+    words = (frame_words(link, frame) for frame in codes)
+    camera = PinnedCamera(CameraConfig(form=form, sensor=True), link, pins, words)
+    camera.write("synthetic", enable=0)
+    camera.write("exposure", value=8)
+    camera.write("frame_limit", value=PIN_FRAMES)
+    camera.write("run", start=1)
+    stream = HistogramStream(instrument)
+    while camera.read("state")["running"]:
+        camera.run(clocks=1000)
+        assert stream.feed(camera.packets()) == []
+    camera.run(clocks=5000)
+    assert stream.feed(camera.packets()) == []
+    camera.close()
+    (block,) = stream.finish()
+    assert stream.report.frames == PIN_FRAMES
+    assert stream.report.lossless
+
+    expected = accumulate_codes(codes, instrument)
+    np.testing.assert_array_equal(block.histogram, expected)
+    reference = simulator.simulate_capture("reference", instrument, frames=2000)
+    calibration = hf.calibrate(reference, instrument, distance=0.40)
+    image = hf.reconstruct(block.histogram, calibration, method="paper")
+    xr.testing.assert_identical(image, hf.reconstruct(expected, calibration, method="paper"))
 
 
 @pytest.mark.slow

@@ -129,14 +129,16 @@ def test_the_wheel_serves_every_later_python_on_old_systems(release: Path) -> No
 @pytest.mark.parametrize("python", pythons())
 def test_the_wheel_alone_ends_with_a_picture(release: Path, tmp_path: Path, python: str) -> None:
     programs = install(tmp_path / "venv", str(only(release, "*.whl")), python=python)
-    assert said_of_kernels(programs, tmp_path).count(": compiled") == 3
+    said = said_of_kernels(programs, tmp_path)
+    assert said.count(": compiled") == said.count("kernels for ") > 0
     assert "warning" not in first_picture(programs, tmp_path)
 
 
 def test_the_archive_without_a_compiler_ends_with_a_picture(release: Path, tmp_path: Path) -> None:
     archive = str(only(release, "*.tar.gz"))
     programs = install(tmp_path / "venv", archive, CC="/bin/false")
-    assert said_of_kernels(programs, tmp_path).count("was not compiled") == 3
+    said = said_of_kernels(programs, tmp_path)
+    assert said.count("was not compiled") == said.count("kernels for ") > 0
     assert "installed without its compiled kernels" in first_picture(programs, tmp_path)
 
 

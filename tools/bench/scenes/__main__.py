@@ -3,13 +3,15 @@
 
     python3 tools/dev.py bench scenes [GROUP ...] [--quick] [--write]
     python3 tools/dev.py bench scenes --effects [EFFECT ...] [--write]
+    python3 tools/dev.py bench scenes --reflections [--write]
     python3 tools/dev.py bench scenes --pictures
 
 Data come from `outside_model.py`, which shares no code with the project, from the simulator where
 a row says so, and from real captures. `--write` puts the table where the documentation shows it;
 of some groups or effects alone, it replaces their rows. The exit code is 1 if a limit does not
-hold. `--effects` shows instead what each effect of the simulator does to every method, and
-`--pictures` draws scenes before and after they are tested.
+hold. `--effects` shows instead what each effect of the simulator does to every method,
+`--reflections` what fixed reflections of any strength do, and `--pictures` draws scenes before and
+after they are tested.
 """
 
 from __future__ import annotations
@@ -28,9 +30,12 @@ import deviations
 import edges
 import effects_table
 import one_pixel
+import one_pixel_pairs
 import pictures
 import pileup
 import pooled_checks
+import real_sensor
+import reflections
 import returns
 import second_returns
 from _measure import table
@@ -44,13 +49,16 @@ GROUPS: dict[str, Group] = {
     "departures": departures.rows,
     "returns": returns.rows,
     "pooled": pooled_checks.rows,
+    "real-sensor": real_sensor.rows,
     "pileup": pileup.rows,
     "as-they-were": as_they_were.rows,
     "second-returns": second_returns.rows,
+    "one-pixel-pairs": one_pixel_pairs.rows,
     "one-pixel": one_pixel.rows,
 }
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 PAGE, EFFECTS_PAGE = RESULTS / "scenes.inc", RESULTS / "scenes-effects.inc"
+REFLECTIONS_PAGE = RESULTS / "scenes-reflections.inc"
 HEAD = ["what", "measured", "limit", "aim", "holds"]
 
 
@@ -60,7 +68,10 @@ def main() -> None:
     if "--pictures" in sys.argv:
         print(pictures.draw())
     elif "--effects" in sys.argv:
-        _effects(names)
+        _require_known(names, effects_table.REMEDIES, "effect")
+        _show(EFFECTS_PAGE, effects_table.HEAD, effects_table.lines(names), whole=not names)
+    elif "--reflections" in sys.argv:
+        _show(REFLECTIONS_PAGE, reflections.head(), reflections.lines(), whole=True)
     else:
         _promises(names)
 
@@ -81,15 +92,14 @@ def _promises(names: list[str]) -> None:
     sys.exit(any(row.holds is False for row in rows))
 
 
-def _effects(names: list[str]) -> None:
-    """Measure effects of the simulator and print their rows."""
-    _require_known(names, effects_table.REMEDIES, "effect")
-    lines = []
-    for line in effects_table.lines(names):
-        lines.append(line)
+def _show(page: Path, head: list[str], lines: Iterable[list[str]], *, whole: bool) -> None:
+    """Print the lines of a table as they are measured, and write it if asked to."""
+    shown = []
+    for line in lines:
+        shown.append(line)
         print(" | ".join(line), flush=True)
     if "--write" in sys.argv:
-        _write(EFFECTS_PAGE, effects_table.HEAD, lines, whole=not names)
+        _write(page, head, shown, whole=whole)
 
 
 def _require_known(names: list[str], known: Iterable[str], kind: str) -> None:

@@ -5,11 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-#: Real photons beside the project; rows that need them say so where they are not there.
-PHOTON_DATA = Path(__file__).parents[4] / "shared" / "data" / "photons"
-NO_DATA = "not measured: no data"
+NO_DATA = "not measured: no data"  #: of rows whose real photons are not beside the project
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ REMEDIES = {
     "bounce": "nothing: neither flagged nor corrected; avoid bright surfaces beside the scene",
     "tail": "`--check` widens deviations; the bias itself can't be corrected",
     "flare": "`--check` widens deviations; keep bright near objects out of the picture",
-    "reflection": "calibrate with it; a strong one is refused by name",
+    "reflection": "block it, or subtract a capture without a target",
     "background ramp": "`--background sloped` or `--correct-drift`",
     "background decay": "`--background sloped` or `--correct-drift`",
     "delay drift": "`--correct-drift`; then calibrate again",

@@ -118,8 +118,8 @@ def _judged(
         )
         yield Row(
             f"{what}: within three pulse-limited deviations, of pixels of at least "
-            f"{LEAST_PHOTONS} photons",
-            f"`pooled` {found:.1%}, {name} {by_pixel:.1%} "
+            f"{LEAST_PHOTONS} photons, beside {name}",
+            f"{found:.1%}, alone {by_pixel:.1%} "
             f"({known.sum()} of {judged.sum()} pixels, where both know a depth)",
             "≥ the pixel alone", "", found >= by_pixel,
         )  # fmt: skip

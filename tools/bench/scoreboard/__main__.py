@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Depth from real photons by methods of others and ours, judged by photons that none has seen.
+"""Depth from real photons by methods of others and ours.
 
     python3 tools/dev.py bench scoreboard [DATA SET ...] [--write]
 
-Data sets: face, night; they are read beside the project, in ../shared/data/photons. `--write` puts
-the tables where the documentation shows them.
+Data sets: face, night, whose depths are judged by photons that no method has seen, and robot, whose
+depths are known. They are read beside the project, in ../shared/data. `--write` puts the tables
+where the documentation shows them.
 """
 
 from __future__ import annotations
@@ -17,13 +18,15 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
+import robot
 from _measure import table
+from _tmf8820 import FILE as ROBOT_FILE
 from data_sets import DATA_SETS, FILES, Half, halves
 from methods import METHODS, Method
 from score import held_out_bits
 
 ROOT = Path(__file__).resolve().parents[3]
-RESULT = ROOT / "docs" / "results" / "scoreboard.inc"
+RESULTS = ROOT / "docs" / "results"
 HEAD = ["method", "bits per photon", "halves apart, cm", "pixels with a depth", "processor time"]
 
 
@@ -59,25 +62,42 @@ def _run(method: Method, one: Half, other: Half) -> tuple[float, float, float, f
     return bits, float(apart), float(both.mean()), seconds
 
 
-def main() -> None:
-    """Print the tables, and write them if that is wanted."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("sets", nargs="*", choices=[*DATA_SETS, []], help="data sets; default all")
-    parser.add_argument("--write", action="store_true", help=f"write {RESULT.relative_to(ROOT)}")
-    arguments = parser.parse_args()
+def held_out(names: list[str]) -> str:
+    """Return the tables of data sets whose depths are not known."""
     text = ""
-    for name in arguments.sets or DATA_SETS:
-        if not FILES[name].exists():
-            raise SystemExit(f"{name}: {FILES[name]} is not there, so nothing is measured")
+    for name in names:
         one, other = halves(name)
         about = (DATA_SETS[name].__doc__ or "").splitlines()[0]
         print(about, flush=True)
         text += (
             f"**{about}** Half of them are used.\n\n{table(HEAD, rows_of(one, other)).strip()}\n\n"
         )
-    print(text)
-    if arguments.write:
-        RESULT.write_text(text.strip() + "\n", encoding="utf-8")
+    return text.strip() + "\n"
+
+
+def main() -> None:
+    """Print the tables, and write them if that is wanted."""
+    files = {**FILES, "robot": ROBOT_FILE}
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("sets", nargs="*", choices=[*files, []], help="data sets; default all")
+    parser.add_argument(
+        "--write", action="store_true", help=f"write tables in {RESULTS.relative_to(ROOT)}"
+    )
+    arguments = parser.parse_args()
+    names = arguments.sets or list(files)
+    for name in names:
+        if not files[name].exists():
+            raise SystemExit(f"{name}: {files[name]} is not there, so nothing is measured")
+    made = {}
+    if "robot" in names:
+        made["scoreboard-robot"] = table(robot.HEAD, robot.rows())
+    if judged := [name for name in names if name in DATA_SETS]:
+        made["scoreboard"] = held_out(judged)
+    for name, text in made.items():
+        print(text)
+        whole = name != "scoreboard" or len(judged) == len(DATA_SETS)
+        if arguments.write and whole:
+            (RESULTS / f"{name}.inc").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

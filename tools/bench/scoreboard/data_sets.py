@@ -27,7 +27,7 @@ class Half:
 
     Attributes
     ----------
-    counts : ndarray of uint16, shape (row, col, code)
+    counts : ndarray of unsigned int, shape (row, col, code)
         Photons in each code.
     calibration : Calibration
         Shape of the pulse and time of each code.
@@ -35,7 +35,7 @@ class Half:
         Least and greatest depth, m.
     """
 
-    counts: NDArray[np.uint16]
+    counts: NDArray[np.unsignedinteger]
     calibration: Calibration
     depth_range: tuple[float, float]
 

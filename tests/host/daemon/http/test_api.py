@@ -17,6 +17,7 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 import hueflight as hf
+from hueflight.daemon.http.client_socket import MESSAGES_PER_S
 from hueflight.daemon.http.operations import OPERATIONS
 from hueflight.emulation.frame_bank import FrameBank
 from hueflight.recording import open_recording
@@ -162,6 +163,13 @@ def test_a_pixel(client: TestClient) -> None:
     assert "outside the picture of 6 × 8" in outside.json()["error"]
 
 
+def test_a_map_that_is_not_configured(client: TestClient) -> None:
+    assert client.get("/api/instrument").json()["materials"] == {}
+    refused = client.get("/api/materials", params={"name": "abundance_red"})
+    assert refused.status_code == 404
+    assert "not configured in the table [materials]" in refused.json()["error"]
+
+
 @pytest.mark.parametrize(
     ("body", "status_code", "words"),
     [
@@ -301,9 +309,20 @@ def test_a_viewer_gets_pictures_and_the_status(client: TestClient) -> None:
 def test_a_viewer_that_talks_nonsense_is_let_go(client: TestClient, said: str) -> None:
     with client.websocket_connect(LIVE) as socket:
         socket.send_text(said)
-        messages = (socket.receive() for _ in range(100))
-        ended = next(message for message in messages if message["type"] == "websocket.close")
-        assert ended["code"] == 1008
+        assert end_of(socket)["code"] == 1008
+
+
+def test_a_viewer_that_sends_too_much_is_let_go(client: TestClient) -> None:
+    with client.websocket_connect(LIVE) as socket:
+        for _ in range(10 * MESSAGES_PER_S):
+            socket.send_text('{"shown": 0}')
+        assert end_of(socket)["code"] == 1008
+
+
+def end_of(socket: WebSocketTestSession) -> Any:
+    """The message that closes a live socket, after some others."""
+    messages = (socket.receive() for _ in range(100))
+    return next(message for message in messages if message["type"] == "websocket.close")
 
 
 def test_every_operation_is_described(client: TestClient) -> None:
@@ -360,6 +379,34 @@ def test_a_recording_ends_when_enough_is_known(
     assert last["failure"] == ""
     assert last["share_known"] >= 0.5
     assert last["recorded_frames"] > 0
+
+
+def test_the_calibration_in_use_is_checked(
+    open_daemon: Callable[..., Any], instrument: hf.Instrument, tmp_path: Path
+) -> None:
+    reference = simulate_capture("reference", instrument, frames=20_000)
+    kept = tmp_path / "data/calibrations/earlier/calibration.zarr"
+    kept.parent.mkdir(parents=True)
+    hf.calibrate(reference, instrument, distance=0.4).save(kept)
+    bank = FrameBank(simulate_packets("reference", instrument, frames=512))
+    with open_daemon(bank=bank, requests_per_s=1000, burst=1000) as client:
+        until(lambda: status(client)["state"] == "running", "the live run is on")
+        assert client.post("/api/check/correct").status_code == 409  # none was offered
+        wish = {"kind": "reference", "frames": 500}  # fewer than are simulated: none comes twice
+        assert client.post("/api/check", json=wish).json() == {"step": "capture"}
+        until(lambda: status(client)["check"]["step"] in ("done", "failed"), "it is checked")
+        found = status(client)["check"]
+        assert found["kind"] == "reference"
+        assert found["step"] == "done"
+        assert "calibration" in found["message"]
+        until(lambda: status(client)["state"] == "running", "the live run is on again")
+
+
+def test_a_check_needs_a_calibration(client: TestClient) -> None:
+    answer = client.post("/api/check", json={})
+    assert answer.status_code == 409
+    assert "calibrate first" in answer.json()["error"]
+    assert client.post("/api/check", json={"kind": "dark"}).status_code == 422
 
 
 def test_pages_of_other_sites_do_not_spend_the_budget_of_the_user(open_daemon: OpenDaemon) -> None:

@@ -15,7 +15,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from hueflight.daemon.config import ConfigError, ServerConfig
-from hueflight.daemon.http.refusal import RequestRefused
+from hueflight.daemon.http.refusal import RequestRefusedError
 from hueflight.daemon.http.sender import Sender, Senders, ServedHosts
 
 OpenDaemon = Callable[..., Any]
@@ -197,7 +197,7 @@ def test_the_client_is_the_last_that_no_trusted_proxy_is() -> None:
     ],
 )
 def test_a_proxy_must_speak_clearly(headers: dict[str, str]) -> None:
-    with pytest.raises(RequestRefused, match="does not say clearly") as refused:
+    with pytest.raises(RequestRefusedError, match="does not say clearly") as refused:
         sender(headers, peer="10.0.0.1", proxies=("10.0.0.0/8",))
     assert (refused.value.status, refused.value.code) == (400, "forwarded")
 
@@ -206,7 +206,7 @@ def test_a_proxy_must_speak_clearly(headers: dict[str, str]) -> None:
 def test_any_header_is_read_or_refused(headers: dict[str, str]) -> None:
     try:
         found = sender(headers, peer="10.0.0.1", proxies=("10.0.0.0/8",))
-    except RequestRefused:
+    except RequestRefusedError:
         return
     assert found.scheme in ("http", "https")
     ServedHosts(ServerConfig(), 8470).serves(found)

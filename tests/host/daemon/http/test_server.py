@@ -26,10 +26,10 @@ from websockets.sync.client import connect
 
 from hueflight.daemon.config import ServerConfig
 from hueflight.daemon.http import server
+from support.web import WAIT_S, serving
 
 PATIENCE_S = 1.0
 LONGER_S = 3 * PATIENCE_S
-WAIT_S = 20.0
 HEAD = "{} HTTP/1.1\r\nHost: here\r\n"
 
 
@@ -82,19 +82,10 @@ def port(cut_off: threading.Event, monkeypatch: pytest.MonkeyPatch) -> Iterator[
         WebSocketRoute("/live", live),
         WebSocketRoute("/flood", flood),
     ]
-    config = ServerConfig(port=0)
-    sock = server.open_socket(config)
     app = Starlette(routes=routes)
     app.state.cut_off = cut_off
-    web = server.web_server(app, config)
-    thread = threading.Thread(target=lambda: asyncio.run(web.serve(sockets=[sock])))
-    thread.start()
-    try:
-        yield sock.getsockname()[1]
-    finally:
-        web.should_exit = True
-        thread.join(WAIT_S)
-    assert not thread.is_alive()
+    with serving(app, ServerConfig(port=0)) as number:
+        yield number
 
 
 def opened(port: int) -> socket.socket:

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import asyncio
+import contextlib
 import os
 import shutil
 import socket
 import ssl
 import subprocess
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,9 +24,9 @@ from starlette.websockets import WebSocket
 from websockets.sync.client import connect
 
 from hueflight.daemon.config import ConfigError, ServerConfig
-from hueflight.daemon.http import server, tls
+from hueflight.daemon.http import tls
+from support.web import WAIT_S, serving
 
-WAIT_S = 20.0
 MOST = 8  #: open connections
 
 
@@ -72,17 +71,9 @@ def port(files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> Iterator[
     config = ServerConfig(
         port=0, certificate_file=str(certificate), key_file=str(key), max_connections=MOST
     )
-    sock = server.open_socket(config)
     app = Starlette(routes=[Route("/scheme", scheme), WebSocketRoute("/live", live)])
-    web = server.web_server(app, config)
-    thread = threading.Thread(target=lambda: asyncio.run(web.serve(sockets=[sock])))
-    thread.start()
-    try:
-        yield sock.getsockname()[1]
-    finally:
-        web.should_exit = True
-        thread.join(WAIT_S)
-    assert not thread.is_alive()
+    with serving(app, config) as number:
+        yield number
 
 
 def asked(port: int, certificate: Path) -> bytes:
@@ -127,6 +118,32 @@ def test_who_speaks_no_tls_is_cut_off(port: int, files: tuple[Path, Path]) -> No
             pass
         assert b"HTTP" not in received
     assert asked(port, files[0]) == b"https"
+
+
+def test_a_request_that_comes_with_the_end_of_the_handshake_is_answered(
+    port: int, files: tuple[Path, Path]
+) -> None:
+    """In one piece, so that it is there before anything else of the server runs."""
+    incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+    context = ssl.create_default_context(cafile=files[0])
+    client = context.wrap_bio(incoming, outgoing, server_hostname="localhost")
+    with socket.create_connection(("127.0.0.1", port), timeout=WAIT_S) as sock:
+        while True:
+            try:
+                client.do_handshake()
+                break
+            except ssl.SSLWantReadError:
+                sock.sendall(outgoing.read())
+                incoming.write(sock.recv(65536))
+        client.write(b"GET /scheme HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        sock.sendall(outgoing.read())
+        answer = b""
+        while not answer.endswith(b"https"):
+            incoming.write(sock.recv(65536))
+            with contextlib.suppress(ssl.SSLWantReadError):
+                while not answer.endswith(b"https"):  # a record each time
+                    answer += client.read(65536)
+    assert answer.startswith(b"HTTP/1.1 200")
 
 
 def test_idle_handshakes_keep_nobody_out(port: int, files: tuple[Path, Path]) -> None:

@@ -19,7 +19,7 @@ from hueflight.simulator import (
     simulate_codes,
     simulate_histogram,
 )
-from hueflight.simulator.light_paths import scene_returns
+from hueflight.simulator.light_paths import ambient_light, scene_returns
 
 LIGHT_M_PER_NS = 0.299792458
 SIGMA_NS, PERIOD_NS, LATENCY_NS = 3.4, 200.0, 20.0
@@ -143,6 +143,26 @@ def test_leaves_behind_the_scene_change_nothing(instrument):
         expected_rates(seen, instrument, behind).detections(),
         expected_rates(seen, instrument, without).detections(),
     )
+
+
+def test_leaves_reflect_ambient_light_and_lie_in_the_fog(instrument):
+    white, black, green = (
+        scene("plane", instrument, distance=1.5, surface=surface)
+        for surface in (1.0, 0.0, "green brick")
+    )
+    leaves, foggy = ideal(foliage_share=0.4), ideal(foliage_share=0.4, fog_per_m=0.5)
+    free = light_of("surface", white, instrument, leaves)[0][0]
+    free = free[0] / light_of("surface", white, instrument, ideal())[0][0][0]
+    dark, full = (
+        ambient_light(seen, instrument, settings.replace(ambient=0.1))[0, 1]
+        for seen, settings in ((black, leaves), (green, ideal()))
+    )
+    assert full > 0
+    assert dark == pytest.approx((1 - free) * full)
+    clear, delays = light_of("leaf", white, instrument, leaves)
+    fogged, _ = light_of("leaf", white, instrument, foggy)
+    # there and back
+    assert fogged == pytest.approx(clear * np.exp(-0.5 * delays * LIGHT_M_PER_NS)[:, None])
 
 
 # -- multipath ------------------------------------------------------------------------------------

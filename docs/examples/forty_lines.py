@@ -12,6 +12,8 @@ import numpy as np
 from PIL import Image
 from websockets.sync.client import connect
 
+import hueflight as hf
+
 HOST, CALIBRATION = sys.argv[1], sys.argv[2]
 
 
@@ -44,8 +46,6 @@ name = json.loads(ask("POST", "/api/recordings", {"frames": 480}))["name"]
 while json.loads(ask("GET", "/api/status"))["recording"]["name"] == name:
     time.sleep(0.2)
 Path(f"{name}.mcap").write_bytes(ask("GET", f"/api/recordings/{name}/segments/0"))
-
-import hueflight as hf  # noqa: E402 - needed from here on only
 
 with hf.open_recording(f"{name}.mcap") as recording:
     image = hf.reconstruct(recording.histogram(), hf.Calibration.load(CALIBRATION))

@@ -11,6 +11,10 @@ from pathlib import Path
 
 import pytest
 
+# The linear algebra of NumPy and SciPy would wait in busy loops for as many threads as there are
+# processors, and tests already keep them all busy. Set before NumPy is loaded; commands inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 try:
     from hypothesis import settings
 except ImportError:  # the environment of other programs runs no property tests

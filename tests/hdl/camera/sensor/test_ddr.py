@@ -58,7 +58,10 @@ def receive(simulator: None) -> Callable[..., list[tuple[int, int]]]:
 
 @pytest.fixture(scope="module")
 def start(simulator: None) -> Iterator[Start]:
-    """Function that returns a camera with a sensor on its pins."""
+    """Function that returns a camera with a sensor on its pins.
+
+    To compile it takes most of a minute, so tests with it are slow ones.
+    """
     compiled = compile_pinned_camera(CONFIG, LINK)
     running = []
 
@@ -163,6 +166,7 @@ def test_each_skew_of_a_lane_loses_no_frame(receive, late: int):
         assert receive(pins, 2 * ALIGN_CLOCKS) == expected_beats(codes), skew
 
 
+@pytest.mark.slow
 def test_frames_pass_through_the_camera(start: Start):
     rng = np.random.default_rng(7)
     codes = [draw(rng) for _ in range(8)]
@@ -172,6 +176,7 @@ def test_frames_pass_through_the_camera(start: Start):
     assert not camera.read("faults")["sensor"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True], ids=["any codes", "even codes"])
 @pytest.mark.parametrize("lane", [0, FORM.lanes])
 def test_a_lane_that_slips_within_a_frame_is_no_image(start: Start, lane: int, hidden: bool):
@@ -193,6 +198,7 @@ def test_a_lane_that_slips_within_a_frame_is_no_image(start: Start, lane: int, h
         assert camera.read("frames_aborted")["value"] + camera.read("frames_dropped")["value"] == 1
 
 
+@pytest.mark.slow
 def test_a_damaged_control_word_is_a_fault(start: Start):
     codes = draw(np.random.default_rng(5))
     for bit in range(LINK.word_bits):
@@ -203,6 +209,7 @@ def test_a_damaged_control_word_is_a_fault(start: Start):
         assert camera.read("faults")["sensor"], bit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skew", [25, 30, 36])
 def test_lanes_too_far_apart_deliver_nothing(start: Start, skew: int):
     rng = np.random.default_rng(skew)
@@ -211,6 +218,7 @@ def test_lanes_too_far_apart_deliver_nothing(start: Start, skew: int):
     assert camera.read("faults")["sensor"]
 
 
+@pytest.mark.slow
 def test_a_dead_lane_is_a_fault(start: Start):
     words = frame_words(LINK, draw(np.random.default_rng(1)))
     camera = start([0] * LINK.lanes, [words])

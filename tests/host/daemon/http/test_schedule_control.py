@@ -113,6 +113,7 @@ def test_leds_fire_as_the_schedule_says(
     assert p_value(counts, instrument) > 1e-6
 
 
+@pytest.mark.slow
 def test_a_calibration_belongs_to_its_schedule(simulated: TestClient, delays: list[float]) -> None:
     """Depth is shown with a calibration of the same schedule, or not at all."""
     asked = {"distance": 0.4, "frames": 400, "bands": False}

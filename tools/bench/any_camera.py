@@ -35,6 +35,7 @@ from _measure import table
 
 import hueflight as hf
 from hueflight.model.instrument import Band, Sensor, Timing
+from hueflight.numerical_threads import ONE_THREAD
 from hueflight.reconstruction.bounds import expected_shares
 
 RESULT = Path(__file__).resolve().parents[2] / "docs" / "results" / "any-camera.inc"
@@ -228,7 +229,7 @@ STEPS: dict[str, Callable[[Setting, Path], dict[str, float]]] = {
 def alone(step: str, name: str, folder: Path) -> dict[str, float]:
     """Run a step in a process of its own and return what it measured."""
     command = [sys.executable, __file__, "--step", step, "--folder", str(folder), name]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    environment = os.environ | ONE_THREAD
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment)
     return json.loads(done.stdout)
 

@@ -39,6 +39,7 @@ from _daemon_report import into_documentation, plot, shortcomings, tables, thinn
 
 from hueflight.ingest import accumulate
 from hueflight.model.instrument import Instrument
+from hueflight.numerical_threads import ONE_THREAD
 from hueflight.recording import open_recording
 from hueflight.recording.layout import segment_files
 
@@ -142,8 +143,9 @@ def running(command: list[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """A process in a group of its own, ended for certain."""
     with log.open("wb") as output:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-        )
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
+            env=os.environ | ONE_THREAD,  # as the command `hueflight serve` does
+        )  # fmt: skip
     try:
         yield process
     finally:

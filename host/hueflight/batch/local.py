@@ -16,13 +16,7 @@ from typing import Any
 
 from hueflight.batch.job import Job, Outcome, work
 from hueflight.errors import BatchError
-
-# numerical libraries would start a thread per core in every worker
-ONE_THREAD: dict[str, str] = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-}
+from hueflight.numerical_threads import ONE_THREAD
 
 
 @dataclass

@@ -26,6 +26,7 @@ from hueflight.daemon.recordings_folder import timestamp_name
 from hueflight.devices.illumination import CaptureKind
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
+from hueflight.numerical_threads import ONE_THREAD
 
 log = structlog.get_logger("hueflight.daemon")
 CALIBRATION_NAME = "calibration.zarr"
@@ -383,7 +384,7 @@ class CalibrationJob:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            env=os.environ | ONE_THREAD,
         )
         if self._cancelled.is_set():  # meanwhile
             self._process.terminate()

@@ -20,6 +20,7 @@ ORDER = (
     "errors",
     "lazy",
     "memory",
+    "numerical_threads",
     "arguments",
     "recognition",
     "model",

@@ -185,9 +185,9 @@ def unpack_sums(body: bytes, header: PacketHeader, at: int, /) -> Sums:
     need(not any(body[SUMS_BODY.size + count : first]), "U3", "padding is not 0", at)
     total = pixels * sum(widths)
     need(len(body) == first + -(-total // 8), "U3", f"sums body has {len(body)} bytes", 8)
-    bits = np.unpackbits(np.frombuffer(body, np.uint8, offset=first), bitorder="little")
-    need(not bits[total:].any(), "U3", "unused bits are not 0", at + len(body) - 1)
-    values = _values(bits[:total].reshape(pixels, -1), widths)
+    unused = body[-1] >> (total % 8) if total % 8 else 0
+    need(unused == 0, "U3", "unused bits are not 0", at + len(body) - 1)
+    values = _values(body[first:], pixels, widths)
     found = _saturated(values, widths)
     need(head["saturated"] == found, "U4", f"{found} saturated, not {head['saturated']}", at + 32)
     fields = {name: head[name] for name in NUMBERS}
@@ -196,12 +196,11 @@ def unpack_sums(body: bytes, header: PacketHeader, at: int, /) -> Sums:
     )
 
 
-def _values(bits: NDArray[np.uint8], widths: tuple[int, ...]) -> NDArray[np.uint32]:
-    """Sums (pixel, sum) of bits (pixel, bit)."""
-    values = np.zeros((len(bits), len(widths)), np.uint32)
-    start = 0
-    for number, width in enumerate(widths):
-        for bit in range(width):
-            values[:, number] |= bits[:, start + bit].astype(np.uint32) << np.uint32(bit)
-        start += width
-    return values
+def _values(packed: bytes, pixels: int, widths: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Sums (pixel, sum) of packed bits: each is cut out of the 8 bytes in which it begins."""
+    first = np.cumsum((0, *widths[:-1])) + np.arange(pixels)[:, None] * sum(widths)
+    padded_bytes = packed + bytes(8)
+    words = np.ndarray((len(packed) + 1,), "<u8", padded_bytes, strides=(1,))
+    masks = (np.uint64(1) << np.array(widths, np.uint64)) - np.uint64(1)
+    shifts = (first & 7).astype(np.uint64)
+    return ((words[first >> 3] >> shifts) & masks).astype(np.uint32)

@@ -90,7 +90,9 @@ def _connect(session: Session) -> bool:
         _close_gap(session, rig)
         if rig.camera.running():
             rig.camera.stop(abort=True)
-        session.configure(rig)
+        # a run that goes on does so as it began: its recording may hold tables of sums
+        run = session.run
+        session.configure(rig, session.controls_for(session.live) if run is None else run.controls)
     except DeviceError as error:
         rig.close()
         session.report_problem(str(error))

@@ -86,6 +86,11 @@ class RunPlan:
                 "reflectance: only 'scene' can; give frames, seconds or photons"
             )
 
+    @property
+    def needs_histograms(self) -> bool:
+        """True if the run is of no use without the codes of all frames."""
+        return self.kind != "scene" or self.keep or self.precision_stop is not None
+
     def frame_limit(self, instrument: Instrument) -> int:
         """Return the number of frames after which the camera itself ends the run.
 

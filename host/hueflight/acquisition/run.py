@@ -15,11 +15,13 @@ from hueflight.acquisition.plan import Gap, RunPlan, RunResult
 from hueflight.acquisition.precision_stop import PrecisionMonitor
 from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.stale_data_filter import StaleDataFilter
-from hueflight.devices.camera import Camera
+from hueflight.devices.camera import DEFAULT_CONTROLS, Camera
+from hueflight.devices.camera_controls import CameraControls
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.picture_totals import PictureTotals, holds_sums
 from hueflight.ingest.report import IngestReport
 from hueflight.ingest.stream import Block, HistogramStream
+from hueflight.ingest.sums_blocks import SumsBlock, SumsBlocks
 from hueflight.model.instrument import Instrument
 from hueflight_protocol import Event, EventCode, decode_packet
 from hueflight_protocol.typed_registers.camera import Capture
@@ -42,11 +44,13 @@ class Run:
         The run's number in every packet.
     precision : PrecisionMonitor, optional
         Monitor of the run that this one goes on with; by default a new one, if the plan needs it.
-    reduced : bool
-        True if the camera sends sums instead of codes.
+    controls : CameraControls, optional
+        What the camera does in this run.
 
     Attributes
     ----------
+    controls : CameraControls
+        What the camera does in this run.
     instrument : Instrument
         The instrument that takes the frames.
     stream : HistogramStream
@@ -75,10 +79,12 @@ class Run:
         *,
         label: int,
         precision: PrecisionMonitor | None = None,
-        reduced: bool = False,
+        controls: CameraControls = DEFAULT_CONTROLS,
     ) -> None:
-        self.plan, self.label, self._reduced = plan, label, reduced
+        self.plan, self.label, self.controls = plan, label, controls
+        self._reduced = controls.sends_sums_only
         self.pictures = PictureTotals()
+        self._sums = SumsBlocks()
         self._stale_data_filter = StaleDataFilter(label)
         self.instrument, self._settings = instrument, settings
         by_step = plan.kind == "bands"
@@ -116,7 +122,7 @@ class Run:
         label = self.label + 1 & Capture.VALUE_MAX
         other = Run(
             self.plan, self.instrument, self._settings, label=label, precision=self.precision,
-            reduced=self._reduced,
+            controls=self.controls,
         )  # fmt: skip
         other.gaps = self.gaps
         other._kept = self._kept
@@ -142,7 +148,9 @@ class Run:
         """
         return self._stale_data_filter.cut(piece)
 
-    def take(self, piece: bytes, now: float, statistics: StreamStatistics) -> list[Block]:
+    def take(
+        self, piece: bytes, now: float, statistics: StreamStatistics
+    ) -> list[Block] | list[SumsBlock]:
         """Count a piece of the run's own stream.
 
         Parameters
@@ -156,20 +164,23 @@ class Run:
 
         Returns
         -------
-        list of Block
-            The histograms that it completes.
+        list of Block or list of SumsBlock
+            The histograms that it completes, or the pictures of sums if the camera sends no codes.
         """
         self.last_data_s = now
         self._statistics = statistics
         blocks = self.stream.feed(piece)
+        pictures: list[SumsBlock] = []
         for packet in self.stream.take_others():
             if holds_sums(packet):
                 self.pictures.feed(packet)
+                if self._reduced:
+                    pictures += self._sums.feed(packet)
             else:
                 self._read_event(packet)
         for block in blocks:
             self._account(block)
-        return blocks
+        return pictures if self._reduced else blocks
 
     def _read_event(self, packet: bytes) -> None:
         content = decode_packet(packet)
@@ -190,17 +201,19 @@ class Run:
     def _stalled_s(self) -> float:
         return self._statistics.stalled_s - self.stalled_before_s
 
-    def finish(self) -> list[Block]:
+    def finish(self) -> list[Block] | list[SumsBlock]:
         """Count what is left, after the last piece of the stream.
 
         Returns
         -------
-        list of Block
-            The last histogram, if frames are left.
+        list of Block or list of SumsBlock
+            The last histogram, if frames are left, or the last picture of sums, if its end is lost.
         """
         blocks = self.stream.finish()
         for block in blocks:
             self._keep(block)
+        if self._reduced:
+            return self._sums.finish()
         return [block for block in blocks if block.frames]
 
     def _keep(self, block: Block) -> None:

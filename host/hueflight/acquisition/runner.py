@@ -19,7 +19,7 @@ from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.acquisition.run_settings import RunSettings
 from hueflight.acquisition.running import read_stream
 from hueflight.acquisition.session import Session
-from hueflight.acquisition.snapshot import LiveBlock, Snapshot
+from hueflight.acquisition.snapshot import LiveBlock, LiveSums, Snapshot
 from hueflight.acquisition.starting import begin_next
 from hueflight.acquisition.states import State, follow
 from hueflight.acquisition.supervised_thread import SupervisedThread
@@ -78,7 +78,7 @@ class Acquisition:
         *,
         settings: RunSettings | None = None,
         live: RunPlan | None = None,
-        on_block: Callable[[LiveBlock], None] | None = None,
+        on_block: Callable[[LiveBlock | LiveSums], None] | None = None,
         on_event: Callable[[str, dict[str, Any]], None] | None = None,
     ) -> None:
         self.instrument = instrument

@@ -18,7 +18,7 @@ from hueflight.acquisition.plan import Gap, RunPlan, RunResult
 from hueflight.acquisition.recorder import Recorder
 from hueflight.acquisition.run import Run
 from hueflight.acquisition.run_settings import RunSettings
-from hueflight.acquisition.snapshot import LiveBlock, Snapshot
+from hueflight.acquisition.snapshot import LiveBlock, LiveSums, Snapshot
 from hueflight.acquisition.states import State
 from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.errors import DeviceError
@@ -28,6 +28,7 @@ from hueflight.devices.rig import Connect, Rig
 from hueflight.devices.simulation import Simulation
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.stream import Block
+from hueflight.ingest.sums_blocks import SumsBlock
 from hueflight.model.instrument import Instrument
 from hueflight_protocol.typed_registers.camera import Capture
 
@@ -80,7 +81,7 @@ class Session:
         instrument: Instrument,
         settings: RunSettings,
         live: RunPlan | None,
-        on_block: Callable[[LiveBlock], None] | None,
+        on_block: Callable[[LiveBlock | LiveSums], None] | None,
         on_event: Callable[[str, dict[str, Any]], None],
     ) -> None:
         self.connect, self.settings = connect, settings
@@ -95,7 +96,7 @@ class Session:
         self._returned: queue.SimpleQueue[Block] = queue.SimpleQueue()
         # of the acquisition thread
         self.rig: Rig | None = None
-        self.applied: CameraControls | None = None  # None: not yet to the present rig
+        self.applied: CameraControls | None = None  # None: to no rig yet
         self.run: Run | None = None
         self.future: Future[RunResult] | None = None
         self.recorder: Recorder | None = None
@@ -144,7 +145,8 @@ class Session:
         """
         if run.plan.live and (not self.requests.empty() or self.live != run.plan):
             return True
-        changed = self.applied != self.controls or run.instrument is not self.instrument
+        wanted = self.controls_for(run.plan)
+        changed = run.controls != wanted or run.instrument is not self.instrument
         if run.plan.live and changed:
             return True
         return self.end_requested or run.reached_its_end(now)
@@ -175,44 +177,65 @@ class Session:
         for block in run.take(piece, now, rig.camera.statistics):
             self.hand_out(block, now, run)
 
-    def hand_out(self, block: Block, now: float, run: Run) -> None:
+    def hand_out(self, block: Block | SumsBlock, now: float, run: Run) -> None:
         """Give a block to whoever looks at blocks.
 
         Parameters
         ----------
-        block : Block
-            A histogram of the run.
+        block : Block or SumsBlock
+            A histogram or a picture of sums of the run.
         now : float
             Monotonic clock when its last byte had arrived.
         run : Run
             The run.
         """
+        about = run.plan.kind, run.label, run.instrument
+        if isinstance(block, SumsBlock):
+            reduction = run.controls.reduction
+            if self.on_block is not None and reduction is not None:
+                clock_hz = self.timing.clock_hz if self.timing is not None else 0
+                self.on_block(LiveSums(block, now, *about, reduction, clock_hz))
+            return
         if self.on_block is None:
             run.stream.recycle(block)
             return
         returned = self._returned
-        self.on_block(
-            LiveBlock(
-                block, now, run.plan.kind, run.label, run.instrument, lambda: returned.put(block)
-            )
-        )
+        self.on_block(LiveBlock(block, now, *about, lambda: returned.put(block)))
 
     # -- the camera's settings ----------------------------------------------------------------
 
-    def configure(self, rig: Rig) -> None:
-        """Set camera and LEDs up as the controls say; between runs only.
+    def controls_for(self, plan: RunPlan | None, /) -> CameraControls:
+        """Return what the camera is to do in a run.
+
+        Parameters
+        ----------
+        plan : RunPlan or None
+            Plan of the run, None if there is none.
+
+        Returns
+        -------
+        CameraControls
+            The controls, with codes instead of sums if the run needs histograms.
+        """
+        controls = self.controls  # once: other threads change it
+        return controls.with_histograms() if plan and plan.needs_histograms else controls
+
+    def configure(self, rig: Rig, controls: CameraControls) -> None:
+        """Set camera and LEDs up; between runs only.
 
         Parameters
         ----------
         rig : Rig
             Rig that is set up.
+        controls : CameraControls
+            What the camera is to do.
 
         Raises
         ------
         DeviceError
             If camera or LEDs can't do it, or are gone.
         """
-        controls, settings = self.controls, self.settings_wanted
+        settings = self.settings_wanted
         self.timing, self.simulation = rig.camera.timing, rig.camera.simulation
         instrument, lights = controls.scheduled(self._stated), rig.illumination
         self.capacity = lights.capacity if isinstance(lights, ScheduledIllumination) else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an acquisition shows: its status, and the newest histogram."""
+"""What an acquisition shows: its status, and the newest histogram or sums."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from hueflight.acquisition.frame_accounting import RunTotals
 from hueflight.acquisition.plan import Gap
 from hueflight.devices.camera_controls import CameraTiming
 from hueflight.devices.pulse_schedule import Capacity
+from hueflight.devices.reduction import Reduction
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.stream import Block
+from hueflight.ingest.sums_blocks import SumsBlock
 from hueflight.model.instrument import Instrument
 
 
@@ -52,6 +54,40 @@ class LiveBlock:
     def histogram(self) -> Counts:
         """Counts of that step, shape (row, col, code)."""
         return self.block.counts[self.step]
+
+
+@dataclass(frozen=True)
+class LiveSums:
+    """A picture of sums, for live pictures.
+
+    Attributes
+    ----------
+    block : SumsBlock
+        Packets of the picture, and the frames behind them.
+    received_s : float
+        Monotonic clock when the last byte had arrived.
+    kind : str
+        What the run is for.
+    run : int
+        Label of the run.
+    instrument : Instrument
+        The instrument with the schedule that the LEDs had.
+    reduction : Reduction
+        Tables and offsets that the sums were made with.
+    clock_hz : int
+        Ticks per second of the device clock, 0 if unknown.
+    """
+
+    block: SumsBlock
+    received_s: float
+    kind: str
+    run: int
+    instrument: Instrument
+    reduction: Reduction
+    clock_hz: int
+
+    def give_back(self) -> None:
+        """Do nothing: the memory of packets is not used again."""
 
 
 @dataclass(frozen=True)

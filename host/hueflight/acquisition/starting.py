@@ -12,6 +12,7 @@ from hueflight.acquisition.recorder import Recorder
 from hueflight.acquisition.run import Run
 from hueflight.acquisition.session import Session
 from hueflight.acquisition.states import State
+from hueflight.acquisition.sums_reduction import attachments_of
 from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceError, DeviceGoneError, DeviceTimeoutError
 from hueflight.devices.rig import Rig
@@ -106,28 +107,29 @@ def _try_to_begin(
 
 
 def _begin(session: Session, rig: Rig, plan: RunPlan, future: Future[RunResult] | None) -> None:
-    if session.applied != session.controls:
-        session.configure(rig)
-    reduced = session.controls.sends_sums_only
-    if reduced and (plan.keep or plan.precision_stop is not None):
-        raise CaptureError(
-            "this run needs histograms, and the camera is to send sums: have it send codes as well"
-        )
+    controls = session.controls_for(plan)
+    if session.applied != controls:
+        session.configure(rig, controls)
+    reduction = controls.reduction if controls.sends_sums_only else None
     rig.illumination.prepare(plan.kind, plan.frames)
     if plan.path is not None:
         about = {"capture": plan.kind, "simulated": str(rig.simulated).lower()}
         session.recorder = Recorder(
-            replace(plan, metadata=dict(plan.metadata) | about),
+            replace(
+                plan,
+                metadata=dict(plan.metadata) | about,
+                attachments=dict(plan.attachments) | attachments_of(reduction, session.instrument),
+            ),
             session.instrument,
             queue_bytes=session.settings.recorder_queue_bytes,
             min_free_bytes=session.settings.min_free_bytes,
             on_event=session.on_event,
             write_delays=session.write_delays,
-            reduced=reduced,
+            reduced=reduction is not None,
         )
     session.label = session.label + 1 & Capture.VALUE_MAX
     session.run = Run(
-        plan, session.instrument, session.settings, label=session.label, reduced=reduced
+        plan, session.instrument, session.settings, label=session.label, controls=controls
     )
     session.future = future
     start_camera(rig.camera, session.run, rate_hz=session.settings.rate_hz)

@@ -20,6 +20,7 @@ from hueflight.acquisition.precision_stop import PrecisionStop
 from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.summary import write_summary
+from hueflight.acquisition.sums_reduction import reduction_of
 from hueflight.calibration import Calibration
 from hueflight.cli.choices import PRESETS, SCENE_NAMES
 from hueflight.cli.options import WHOLE
@@ -31,13 +32,9 @@ from hueflight.devices.reduction import Reduction
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.stopping import StopRule
-from hueflight.reconstruction.sums.design import design_sums
-from hueflight.reconstruction.sums.recorded import describe_sums
-from hueflight.recording.recorded_sums import ATTACHMENT, SumsDescription
 
 CONNECT_S = 10.0
 PICTURES_HZ = 10.0  #: of sums
-LEAST_PHOTONS = 1000  #: that sums of a picture hold without saturation, at least
 REFRESH_S = 0.2
 
 
@@ -141,7 +138,7 @@ def capture(
             )
     described = Instrument.load(instrument)
     metadata = {"note": note} if note else {}
-    reduction = reduction_of(described, calibration, picture_frames) if reduce else None
+    reduction = reduction_for(described, calibration, picture_frames) if reduce else None
     if picture_frames is not None and not reduce:
         raise CaptureError(f"--picture-frames {picture_frames}: it belongs to --reduce")
     if reduce and kind != "scene":
@@ -156,9 +153,7 @@ def capture(
         metadata["distance_m"] = str(distance)
     plan = RunPlan(
         kind=kind, frames=frames, seconds=seconds, photons_per_pixel=photons, path=out,
-        metadata=metadata, attachments={} if reduction is None else {
-            ATTACHMENT: reduction[1].to_bytes()
-        },
+        metadata=metadata,
         precision_stop=None if reduce else until_of(described, calibration, *targets, share),
     )  # fmt: skip
     plan.check()
@@ -168,7 +163,7 @@ def capture(
     )  # fmt: skip
     acquisition = Acquisition(connect, described)
     if reduction is not None:
-        acquisition.set_controls(CameraControls(reduction=reduction[0]), acquisition.settings)
+        acquisition.set_controls(CameraControls(reduction=reduction), acquisition.settings)
     console = error_console()
     with _StopOnInterrupt(acquisition):
         try:
@@ -188,10 +183,10 @@ def capture(
         raise HueflightError(f"the capture broke off: {result.failure}")
 
 
-def reduction_of(
+def reduction_for(
     instrument: Instrument, calibration: Path | None, picture_frames: int | None
-) -> tuple[Reduction, SumsDescription]:
-    """What the camera needs for sums, and what their recording must hold.
+) -> Reduction:
+    """What the camera needs for sums.
 
     Parameters
     ----------
@@ -204,10 +199,8 @@ def reduction_of(
 
     Returns
     -------
-    reduction : Reduction
-        For the camera.
-    description : SumsDescription
-        For the recording.
+    Reduction
+        Tables, offsets and frames of a picture.
 
     Raises
     ------
@@ -220,8 +213,7 @@ def reduction_of(
     known.require(instrument)
     rate_hz = instrument.sensor.usual_frame_rate_hz
     frames = picture_frames or max(1, round(rate_hz / PICTURES_HZ))
-    described = describe_sums(design_sums(known, most_photons=max(frames, LEAST_PHOTONS)), known)
-    return Reduction(described.tables, frames, described.offsets), described
+    return reduction_of(known, picture_frames=frames)
 
 
 def until_of(

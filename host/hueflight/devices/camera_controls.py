@@ -122,6 +122,16 @@ class CameraControls:
         """True if the camera sends sums and no codes."""
         return self.reduction is not None and not self.reduction.with_codes
 
+    def with_histograms(self) -> CameraControls:
+        """Return these controls for a run that needs histograms.
+
+        Returns
+        -------
+        CameraControls
+            The same if the camera sends codes, otherwise with codes instead of sums.
+        """
+        return replace(self, reduction=None) if self.sends_sums_only else self
+
     def check(self, instrument: Instrument, timing: CameraTiming | None, /) -> None:
         """Refuse what an instrument's camera can't do.
 

@@ -31,12 +31,16 @@ class Reduction:
         Offset of each pixel in the tables, codes; None for none.
     with_codes : bool
         True to have the codes sent as well.
+    middle_ns, reach_ns : float
+        Delays that the tables are designed for, as `hueflight.reconstruction.SumsDesign` has them.
     """
 
     tables: ReductionTables
     frames: int
     offsets: NDArray[np.integer] | None = None
     with_codes: bool = False
+    middle_ns: float = 0.0
+    reach_ns: float = 0.0
 
 
 def stop_reduction(board: Board) -> None:

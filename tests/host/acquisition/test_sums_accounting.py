@@ -44,14 +44,15 @@ def run_of(instrument: hf.Instrument, **options: int) -> tuple[Run, Camera, Came
     bank = FrameBank.random(instrument.sensor, occupancy=0.3, frames=7)
     model = CameraModel(instrument.sensor, bank, now_s=clock, **options)
     camera = Camera(SimulatedTransport(model.handle), lambda size: SimulatedStream(model, size))
-    camera.configure(instrument, CameraControls(reduction=Reduction(TABLES, PER_PICTURE)))
+    controls = CameraControls(reduction=Reduction(TABLES, PER_PICTURE))
+    camera.configure(instrument, controls)
     camera.start(capture=5, frame_limit=FRAMES)
     clock.now_s += 1
     data = b""
     while more := camera.read(0.0):
         data += more
     settings = RunSettings.of(instrument)
-    return Run(RunPlan(), instrument, settings, label=5, reduced=True), camera, model, data
+    return Run(RunPlan(), instrument, settings, label=5, controls=controls), camera, model, data
 
 
 def parts_of(data: bytes) -> list[tuple[int, int]]:

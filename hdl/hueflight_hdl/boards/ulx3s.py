@@ -16,6 +16,8 @@ from amaranth_boards.ulx3s import (
     ULX3S_85F_Platform,
 )
 
+from hueflight_protocol.links import FT601_HZ
+
 from ..camera.camera import CameraConfig
 from ..link.ft601 import Ft601Link
 from ..link.serial import SerialLink
@@ -71,7 +73,7 @@ _CAMERA = [
         "marker", 0, Pins("16+ 16- 17+ 17- 18+ 18- 19+ 19-", dir="i", conn=("gpio", 0)), _PLAIN
     ),
 ]
-FT_HZ = 100e6
+FT_HZ = float(FT601_HZ)
 _BAUD = 3e6
 
 

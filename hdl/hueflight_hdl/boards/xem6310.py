@@ -14,6 +14,8 @@ from amaranth.lib import io
 from amaranth.lib.wiring import connect
 from amaranth.vendor import XilinxPlatform
 
+from hueflight_protocol.links import OPAL_KELLY_HZ
+
 from ..camera.camera import CameraConfig
 from ..link.opal_kelly import BLACKBOXES, OpalKellyLink, OpalKellyPins
 from .ecp5_camera import SYNC_HZ, add_camera, camera_config
@@ -29,7 +31,7 @@ from .sensor_lanes import (
 from .settings import camera_settings
 from .target import Options, Target
 
-OK_HZ = 100.8e6
+OK_HZ = float(OPAL_KELLY_HZ)
 _HOST = Attrs(IOSTANDARD="LVCMOS18")
 _FAST_HOST = Attrs(IOSTANDARD="LVCMOS18", SLEW="FAST")
 _UHU = (

@@ -8,27 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
-from hueflight_protocol import encode_frame
+from hueflight_protocol.links import LINKS
+from hueflight_protocol.links import packet_bytes as mean_packet_bytes
 
 from ..boards.settings import MAX_BAUD
 from ..boards.target import Target
-from ..boards.ulx3s import FT_HZ
-from ..boards.xem6310 import OK_HZ
 from ..camera.frame_format import FrameFormat
 from ..link.uart import FEWEST_CLOCKS_PER_BIT
 
 OCCUPANCIES = (0.05, 0.1, 0.3, 0.5, 1.0)
 SERIAL_BOARDS = ("ulx3s-85f", "ecpix5-85f", "hx8k")
-_DRAWN = 8
-"""Frames drawn for the mean size of a packet."""
-LINKS = {
-    "USB 2": 13 * 512 * 8000,  # packets of 512 bytes in each microframe
-    "FT601": 4 * FT_HZ,
-    "Opal Kelly": 4 * OK_HZ,
-}
-"""Most bytes per second that the links of the camera can carry, by link."""
 
 
 def packet_bytes(form: FrameFormat, occupancy: float, /) -> float:
@@ -46,16 +35,9 @@ def packet_bytes(form: FrameFormat, occupancy: float, /) -> float:
     float
         Bytes.
     """
-    rng = np.random.default_rng(1)
-    sizes = []
-    for _ in range(_DRAWN):
-        codes = rng.integers(1, 1 << form.code_bits, (form.rows, form.cols), np.uint16)
-        codes[rng.random(codes.shape) >= occupancy] = 0
-        packet = encode_frame(
-            codes, sequence=0, frame=0, timestamp=0, code_bits=form.code_bits, run=form.run
-        )
-        sizes.append(len(packet))
-    return float(np.mean(sizes))
+    return mean_packet_bytes(
+        form.rows, form.cols, occupancy, code_bits=form.code_bits, run=form.run
+    )
 
 
 def frame_table(form: FrameFormat, /) -> str:

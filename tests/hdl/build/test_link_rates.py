@@ -6,9 +6,10 @@ import pytest
 
 from hueflight_hdl.boards.target import Options
 from hueflight_hdl.boards.targets import find_target
-from hueflight_hdl.build.link_rates import LINKS, frame_table, packet_bytes, serial_table
+from hueflight_hdl.build.link_rates import frame_table, packet_bytes, serial_table
 from hueflight_hdl.camera.frame_format import FrameFormat
 from hueflight_hdl.link.uart import UartError
+from hueflight_protocol.links import LINKS
 
 FORM = FrameFormat()
 

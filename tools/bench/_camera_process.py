@@ -22,6 +22,7 @@ from hueflight.emulation.simulated_transport import SimulatedStream
 from hueflight.model.instrument import Instrument
 
 KINDS = ("scene", "reference")
+KEPT_PICTURES = 3  #: of sums, that are sent in turn as the frames are
 TOLD_S = 0.5  #: how often the process tells what it has taken
 PATIENCE_S = 1.0  #: of a read that waits for frames
 
@@ -39,10 +40,18 @@ class CameraProcess:
         Size of the camera's buffer.
     told : Path
         File that receives the processor time of the process, in seconds.
+    link_bytes_per_s : float, optional
+        What the link carries; by default as much as there is.
     """
 
     def __init__(
-        self, drawing: Instrument, played: Instrument, drawn: int, buffer_bytes: int, told: Path
+        self,
+        drawing: Instrument,
+        played: Instrument,
+        drawn: int,
+        buffer_bytes: int,
+        told: Path,
+        link_bytes_per_s: float = float("inf"),
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self._control, control = context.Pipe()
@@ -51,7 +60,15 @@ class CameraProcess:
         instruments = (drawing.to_json(), played.to_json())
         self._process = context.Process(
             target=_play,
-            args=(control, data, *instruments, drawn, buffer_bytes, str(told)),
+            args=(
+                control,
+                data,
+                *instruments,
+                drawn,
+                buffer_bytes,
+                str(told),
+                link_bytes_per_s,
+            ),
             daemon=True,
         )
         self._process.start()
@@ -125,14 +142,18 @@ def _play(
     drawn: int,
     buffer_bytes: int,
     told: str,
+    link_bytes_per_s: float,
 ) -> None:
     banks = {
         kind: FrameBank(simulated_packets(kind, drawing, "fig1", 0.4, drawn, 1)) for kind in KINDS
     }
     model = CameraModel(
-        Instrument.from_json(played).sensor, banks["scene"], buffer_bytes=buffer_bytes
+        Instrument.from_json(played).sensor,
+        banks["scene"],
+        buffer_bytes=buffer_bytes,
+        kept_pictures=KEPT_PICTURES,
     )
-    for work in (lambda: _fill(model, data), lambda: _tell(Path(told))):
+    for work in (lambda: _fill(model, data, link_bytes_per_s), lambda: _tell(Path(told))):
         threading.Thread(target=work, daemon=True).start()
     control.send(None)
     while True:
@@ -145,15 +166,19 @@ def _play(
         control.send(model.handle(argument) if what == "handle" else None)
 
 
-def _fill(model: CameraModel, data: Connection) -> None:
+def _fill(model: CameraModel, data: Connection, link_bytes_per_s: float) -> None:
     """Fill pieces of shared memory as they are asked for, for one stream after another."""
     while True:
         transfer_bytes, names = data.recv()
         stream = SimulatedStream(model, transfer_bytes)
         memory = [SharedMemory(name=name) for name in names]
+        free_s = 0.0  # when the link has carried what was read
         while (place := data.recv()) is not None:
             read = stream.read(PATIENCE_S)
             memory[place].buf[: len(read)] = read
+            now_s = time.monotonic()
+            free_s = max(free_s, now_s) + len(read) / link_bytes_per_s
+            time.sleep(free_s - now_s)
             data.send((len(read), model.waiting_bytes))
         for piece in memory:
             piece.close()

@@ -29,6 +29,7 @@ def tables(run: dict[str, Any]) -> str:
         ["frames lost", ", ".join(f"{place} {count:,}" for place, count in lost.items())],
         ["occupancy", f"{run['occupancy']:.3f}"],
         ["data", f"{run['bytes'] / elapsed / 1e6:.1f} MB per second"],
+        ["camera sends", "{sent}: {reason}".format(**run["stream"])],
         ["recorded", _recorded(run)],
         ["pictures made", f"{run['pictures'] / elapsed:.1f} per second, method {run['method']}; "
          f"{run['skipped']:,} histograms too old to be shown"],

@@ -7,6 +7,10 @@
     python tools/bench/daemon.py --nightly                              # 90 minutes at full rate
     python tools/bench/daemon.py --nightly --rate 4800 --seconds 600    # ten minutes, slower
     python tools/bench/daemon.py --nightly --seconds 604800             # a week
+    python tools/bench/daemon.py --link "USB 2" --rate 18600 --pictures 30 --occupancy 0.3 \
+        --seconds 60                                                    # live from sums
+    python tools/bench/daemon.py --sends codes --rate 18600 --pictures 30 --occupancy 0.3 \
+        --seconds 60                                                    # from codes, beside that
 
 The nightly run records throughout, erases old segments, and fails if a frame is lost anywhere but
 in the camera's buffer, or if memory leaves a band of one per cent either way after the first fifth.
@@ -42,9 +46,11 @@ from hueflight.model.instrument import Instrument
 from hueflight.numerical_threads import ONE_THREAD
 from hueflight.recording import open_recording
 from hueflight.recording.layout import segment_files
+from hueflight_protocol.links import LINKS
 
 RECORDING = "data/recordings/bench.mcap"  #: in the daemon's folder
 PATIENCE_S = 180.0
+CHOICE_S = 10.0  #: in which the daemon has chosen codes or sums
 SETTLE_S = 8.0  #: before a measurement: the browser's first pictures are slow
 CALIBRATIONS = 20  #: that are tried
 TRIAL_S = 20.0
@@ -107,7 +113,10 @@ def serve(arguments: argparse.Namespace) -> None:
         drawing = brightened(drawing, arguments.occupancy)
     instrument = played(arguments.instrument, arguments.rate)
     buffer_bytes = round(arguments.buffer * (1 << 20))
-    camera = CameraProcess(drawing, instrument, arguments.drawn, buffer_bytes, folder / "emulated")
+    camera = CameraProcess(
+        drawing, instrument, arguments.drawn, buffer_bytes, folder / "emulated",
+        LINKS.get(arguments.link, float("inf")),
+    )  # fmt: skip
 
     class Targets:
         name = "benchmark"
@@ -123,13 +132,18 @@ def serve(arguments: argparse.Namespace) -> None:
 
     def connect() -> Rig:
         transport = SimulatedTransport(camera.handle)
-        driver = Camera(transport, lambda size: ProcessStream(camera, size), simulated=True)
+        driver = Camera(
+            transport,
+            lambda size: ProcessStream(camera, size),
+            simulated=True,
+            link=arguments.link,
+        )
         return Rig(driver, Targets())
 
     configure(as_json=True)
     config = DaemonConfig(
         data=str(folder / "data"), pictures_hz=arguments.pictures,
-        change_sigma=arguments.change_sigma, foxglove=arguments.foxglove,
+        change_sigma=arguments.change_sigma, foxglove=arguments.foxglove, sends=arguments.sends,
         server=ServerConfig(port=0, foxglove_port=0, requests_per_s=1000, burst=1000),
     )  # fmt: skip
     run(config, connect, instrument)
@@ -239,6 +253,7 @@ def measure(arguments: argparse.Namespace, rate_hz: float, seconds: float) -> di
             "--rate", str(rate_hz), "--pictures", str(arguments.pictures),
             "--drawn", str(arguments.drawn), "--change-sigma", str(arguments.change_sigma),
             "--occupancy", str(arguments.occupancy), "--buffer", str(arguments.buffer),
+            "--link", arguments.link, "--sends", arguments.sends,
         ]  # fmt: skip
         with running(me, folder / "daemon.log") as daemon:
             line = until(lambda: _first_line(folder / "daemon.log", daemon), "the daemon listens")
@@ -247,6 +262,8 @@ def measure(arguments: argparse.Namespace, rate_hz: float, seconds: float) -> di
             page = [chromium, *BROWSER, f"--user-data-dir={folder / 'profile'}", url]
             with running(page, folder / "browser.log") as browser:
                 until(lambda: status_of(url)["latency_s"], "the browser shows pictures")
+                if arguments.link or arguments.sends == "sums":
+                    time.sleep(CHOICE_S)
                 return _watch(arguments, seconds, url, folder, (daemon.pid, browser.pid)) | {
                     "rate_hz": rate_hz
                 }
@@ -325,6 +342,7 @@ def _watch(
         "pictures": after["picture"]["number"] - before["picture"]["number"],
         "skipped": after["picture"]["skipped"] - before["picture"]["skipped"],
         "method": after["picture"]["method"],
+        "stream": after["stream"],
         "latency_s": after["latency_s"],
         "cpu_s": cpu,
         "load": os.getloadavg()[0],
@@ -398,6 +416,10 @@ def main() -> None:
         help="the emulated camera keeps, as transfers under way on a bus do; 8 are what Linux "
         "grants unless told otherwise",
     )  # fmt: skip
+    parser.add_argument(
+        "--link", choices=("", *LINKS), default="", help="of the emulated camera; empty: no limit"
+    )
+    parser.add_argument("--sends", choices=("codes", "sums", "auto"), default="auto")
     parser.add_argument("--change-sigma", type=float, default=4.0, help="0: fit every pixel")
     parser.add_argument("--drawn", type=int, default=240, help="frames that are played in turn")
     parser.add_argument(

@@ -31,12 +31,12 @@ from hueflight_protocol import (
     Status,
     camera_map,
     encode_event,
+    encode_packet,
     encode_status,
-    encode_sums,
     encode_test_pattern,
 )
 from hueflight_protocol.typed_registers import camera as registers
-from hueflight_protocol.wire import PatternKind
+from hueflight_protocol.wire import PacketType, PatternKind
 
 CLOCK_HZ = 100_000_000
 LANES = 64  #: a readout takes little time, so that every preset's frame rate is nearly reached
@@ -75,6 +75,8 @@ class CameraModel:
         Serial number of the board.
     buffer_bytes : int
         Most bytes of packets that wait for the link.
+    kept_pictures : int
+        Whole pictures of sums that are made in each run and then sent in turn; 0 to add up each.
     now_s : callable
         Clock in seconds; tests pass their own.
 
@@ -94,9 +96,10 @@ class CameraModel:
         *,
         serial: int = 1,
         buffer_bytes: int = BUFFER_BYTES,
+        kept_pictures: int = 0,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.bank = bank
+        self.bank, self._kept_pictures = bank, kept_pictures
         self.registers = RegisterFile(
             camera_map(
                 rows=sensor.rows, cols=sensor.cols, code_bits=sensor.code_bits, lanes=LANES,
@@ -181,7 +184,9 @@ class CameraModel:
             self._stop()
         self._running = True
         self._filter = FrameFilter.of(self.registers)
-        self._reduction = PictureReduction.of(self._sensor, self.registers, self._memory)
+        self._reduction = PictureReduction.of(
+            self._sensor, self.registers, self._memory, keep=self._kept_pictures
+        )
         self._started_s = self._now_s()
         self._frame = self._dropped = self._sent_whole = self._peak = 0
         self._event(EventCode.RUN_STARTED, self._capture)
@@ -289,8 +294,8 @@ class CameraModel:
     def _send_picture(self) -> None:
         """Put the picture of sums into the buffer, as far as it has come."""
         if self._reduction is not None:
-            for part in self._reduction.picture():
-                self._put(encode_sums(replace(part, header=self._header())))
+            for body in self._reduction.bodies():
+                self._put(encode_packet(PacketType.SUMS, body, self._header()))
 
     def _stamped(self, templates: list[Template], frame_s: float) -> bytes:
         """Packets of the next frames."""

@@ -15,8 +15,9 @@ from hueflight.ingest.scanner import Scanner, batches
 from hueflight.model.instrument import Sensor
 from hueflight_protocol import FrameFlags, PacketHeader, ReductionMode, RegisterFile, Sums
 from hueflight_protocol.reduction import MOST_SUMS, ReductionTables, reduce_histogram
+from hueflight_protocol.sums_packet import pack_sums
 from hueflight_protocol.typed_registers import camera as registers
-from hueflight_protocol.wire import FRAME_HEADER
+from hueflight_protocol.wire import FRAME_HEADER, SUMS_BODY
 
 PART_BITS = 1 << 19  #: of the sums in one packet, about, so that a lost one costs few pixels
 
@@ -81,6 +82,9 @@ class PictureReduction:
         Registers of the camera, as they are when the run begins.
     memory : ReductionMemory
         Tables and offsets.
+    keep : int
+        Whole pictures that are kept and sent in turn, so that a camera that repeats frames takes
+        little time; 0 to add up each picture.
 
     Attributes
     ----------
@@ -88,7 +92,12 @@ class PictureReduction:
         True if codes are sent as well.
     """
 
-    def __init__(self, sensor: Sensor, file: RegisterFile, memory: ReductionMemory) -> None:
+    def __init__(
+        self, sensor: Sensor, file: RegisterFile, memory: ReductionMemory, *, keep: int = 0
+    ) -> None:
+        self._keep = keep
+        self._kept: list[list[bytes]] = []
+        self._waiting: list[Template] = []  # of a picture that may be a kept one
         chosen, codes = file.load(registers.Reduction), file.load(registers.ReductionCodes)
         self.with_codes = chosen.mode == ReductionMode.BOTH
         widths = _words(file, registers.ReductionWidth.NAME, chosen.sums)
@@ -112,7 +121,7 @@ class PictureReduction:
 
     @classmethod
     def of(
-        cls, sensor: Sensor, file: RegisterFile, memory: ReductionMemory
+        cls, sensor: Sensor, file: RegisterFile, memory: ReductionMemory, *, keep: int = 0
     ) -> PictureReduction | None:
         """Return the reduction that the registers ask for.
 
@@ -124,6 +133,8 @@ class PictureReduction:
             Registers of the camera.
         memory : ReductionMemory
             Tables and offsets.
+        keep : int
+            Whole pictures that are kept and sent in turn; 0 to add up each picture.
 
         Returns
         -------
@@ -133,7 +144,7 @@ class PictureReduction:
         chosen = file.load(registers.Reduction)
         if chosen.mode not in (ReductionMode.SUMS, ReductionMode.BOTH) or not chosen.sums:
             return None
-        return cls(sensor, file, memory)
+        return cls(sensor, file, memory, keep=keep)
 
     def _begin(self) -> None:
         self._frames = self._missed = 0
@@ -163,8 +174,13 @@ class PictureReduction:
         templates : sequence of Template
             The frames, after mask, region and gate.
         """
-        if not templates:
-            return
+        self._frames += len(templates)
+        if self._keep and len(self._kept) == self._keep:
+            self._waiting += templates
+        elif templates:
+            self._count(templates)
+
+    def _count(self, templates: Sequence[Template]) -> None:
         numbers = empty_headers(len(templates))
         numbers["sequence"] = numbers["frame"] = np.arange(len(templates))
         for data in batches(self._scanner, stamp_all(templates, numbers)):
@@ -173,7 +189,6 @@ class PictureReduction:
             headers = self._scanner.headers[: every.size].view(FRAME_HEADER.dtype)
             self._flags |= FrameFlags(int(np.bitwise_or.reduce(headers["flags"], axis=None)))
             self._periods = int(headers["periods"][-1, 0])
-        self._frames += len(templates)
 
     def miss(self, frames: int, /) -> None:
         """Note frames that come and can't be added, because there is no room for a picture.
@@ -185,16 +200,32 @@ class PictureReduction:
         """
         self._missed += frames
 
-    def picture(self) -> Iterator[Sums]:
+    def bodies(self) -> list[bytes]:
         """End the picture, if it holds a frame.
 
-        Yields
-        ------
-        Sums
-            Its packets, whose headers are still to be filled in.
+        Returns
+        -------
+        list of bytes
+            Bodies of its packets.
         """
         if not self._frames:
-            return
+            return []
+        whole = self._frames == self._frames_wanted
+        if self._waiting and whole:
+            numbers = {"picture": self._number, "missed": self._missed}
+            found = [_numbered(body, numbers) for body in self._kept[self._number % self._keep]]
+        else:
+            if self._waiting:
+                self._count(self._waiting)
+            found = [pack_sums(part) for part in self._parts()]
+            if whole and len(self._kept) < self._keep:
+                self._kept.append(found)
+        self._waiting = []
+        self._number += 1
+        self._begin()
+        return found
+
+    def _parts(self) -> Iterator[Sums]:
         counts = self._counts.finish()
         flat = counts.reshape(-1, counts.shape[-1])
         values = reduce_histogram(flat, self._tables, offsets=self._offsets).astype(np.uint32)
@@ -210,8 +241,12 @@ class PictureReduction:
                 header=PacketHeader(sequence=0), values=values[first : first + step],
                 first_pixel=first, **about,
             )  # fmt: skip
-        self._number += 1
-        self._begin()
+
+
+def _numbered(body: bytes, numbers: dict[str, int]) -> bytes:
+    """The body of a packet of sums with other numbers."""
+    head = SUMS_BODY.unpack(body[: SUMS_BODY.size]) | numbers
+    return SUMS_BODY.pack(head) + body[SUMS_BODY.size :]
 
 
 def _words(file: RegisterFile, name: str, count: int) -> NDArray[np.uint32]:

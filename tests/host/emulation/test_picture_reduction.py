@@ -80,6 +80,29 @@ def test_sums_are_those_of_the_codes_sent_beside_them(
     assert parser.report.missing == parser.report.damaged == 0
 
 
+def test_kept_pictures_are_sent_in_turn(fast: hf.Instrument) -> None:
+    """Whole ones; the last frames of a run are added up as always."""
+    found: list[list[hp.SumsPicture]] = []
+    for kept in (0, 2):
+        camera, _, clock = camera_of(fast, kept_pictures=kept)
+        camera.configure(fast, CameraControls(reduction=Reduction(tables_of(1, 3), 10)))
+        camera.start(frame_limit=55)
+        clock.now_s += 1
+        parser, assembler = hp.PacketParser(), hp.PictureAssembler()
+        contents = [one.content for one in parser.feed(camera.read(0.0))]
+        parts = [assembler.feed(one) for one in contents if isinstance(one, hp.Sums)]
+        found.append([picture for picture in parts if picture is not None])
+        assert parser.report.missing == parser.report.damaged == 0
+    made, sent = found
+    assert [(one.first.picture, one.first.frames) for one in sent] == [
+        (one.first.picture, one.first.frames) for one in made
+    ]
+    values = [one.values.tolist() for one in sent]
+    assert [values.index(value) for value in values] == [0, 1, 0, 1, 0, 5]
+    for number in (0, 1, 5):
+        assert values[number] == made[number].values.tolist()
+
+
 def test_the_next_run_sends_codes_again(fast: hf.Instrument) -> None:
     camera, _, clock = camera_of(fast)
     camera.configure(fast, CameraControls(reduction=Reduction(tables_of(1, 3), 4)))

@@ -30,6 +30,7 @@ from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.ingest.stream import Block
 from hueflight.ingest.sums_blocks import SumsBlock
 from hueflight.model.instrument import Instrument
+from hueflight_protocol import ReductionRoom
 from hueflight_protocol.typed_registers.camera import Capture
 
 PUBLISH_S = 0.02  #: longest time from one snapshot to the next while pieces of the stream come
@@ -111,6 +112,8 @@ class Session:
         self.rate_hz: float | None = None
         self.timing: CameraTiming | None = None
         self.capacity: Capacity | None = None
+        self.link: str = ""
+        self.reduction_room: ReductionRoom | None = None
         self.simulation: Simulation | None = None
         self.failed = False
         self.label = int(time.time()) & Capture.VALUE_MAX
@@ -218,7 +221,9 @@ class Session:
             The controls, with codes instead of sums if the run needs histograms.
         """
         controls = self.controls  # once: other threads change it
-        return controls.with_histograms() if plan and plan.needs_histograms else controls
+        if plan is None or not plan.needs_histograms:
+            return controls
+        return controls.with_histograms(self._stated)
 
     def configure(self, rig: Rig, controls: CameraControls) -> None:
         """Set camera and LEDs up; between runs only.
@@ -237,6 +242,7 @@ class Session:
         """
         settings = self.settings_wanted
         self.timing, self.simulation = rig.camera.timing, rig.camera.simulation
+        self.link, self.reduction_room = rig.camera.link, rig.camera.reduction_room
         instrument, lights = controls.scheduled(self._stated), rig.illumination
         self.capacity = lights.capacity if isinstance(lights, ScheduledIllumination) else None
         self.rate_hz = rig.camera.configure(self._stated, controls).rate_hz
@@ -358,6 +364,8 @@ class Session:
             rate_hz=self.rate_hz,
             timing=self.timing,
             capacity=self.capacity,
+            link=self.link,
+            reduction_room=self.reduction_room,
         )
 
 

@@ -16,6 +16,7 @@ from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.stream import Block
 from hueflight.ingest.sums_blocks import SumsBlock
 from hueflight.model.instrument import Instrument
+from hueflight_protocol import ReductionRoom
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,11 @@ class Snapshot:
         Limits of the camera's frame rate, None before the first connection.
     capacity : Capacity or None
         Limits of the illuminator's schedules, None without one whose schedule can be changed.
+    link : str
+        What the camera's stream goes over, one of `hueflight_protocol.links.LINKS`; empty if that
+        is not known.
+    reduction_room : ReductionRoom or None
+        What the camera has room for to reduce codes to sums, None if it can't.
     """
 
     state: str = "disconnected"
@@ -167,3 +173,5 @@ class Snapshot:
     rate_hz: float | None = None
     timing: CameraTiming | None = None
     capacity: Capacity | None = None
+    link: str = ""
+    reduction_room: ReductionRoom | None = None

@@ -7,15 +7,19 @@ import numpy as np
 
 from hueflight.calibration import Calibration
 from hueflight.devices.reduction import Reduction
+from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
-from hueflight.reconstruction.sums.design import design_sums
+from hueflight.reconstruction.sums.design import ENTRY_BITS, MORE_SUMS, design_sums
 from hueflight.reconstruction.sums.recorded import describe_sums
 from hueflight.recording.recorded_sums import ATTACHMENT, SumsDescription
+from hueflight_protocol import ReductionRoom
 
 LEAST_PHOTONS = 1000  #: that sums of a picture hold without saturation, at least
 
 
-def reduction_of(calibration: Calibration, /, *, picture_frames: int) -> Reduction:
+def reduction_of(
+    calibration: Calibration, /, *, picture_frames: int, room: ReductionRoom | None = None
+) -> Reduction:
     """Return what a camera is to make of its codes, by a calibration.
 
     Parameters
@@ -24,13 +28,29 @@ def reduction_of(calibration: Calibration, /, *, picture_frames: int) -> Reducti
         Calibration that the tables are designed from; it also gives the offset of each pixel.
     picture_frames : int
         Frames of a picture.
+    room : ReductionRoom, optional
+        What the camera has room for; by default all that the protocol allows.
 
     Returns
     -------
     Reduction
         Tables that keep as much information as they can, of which no sum saturates.
+
+    Raises
+    ------
+    HueflightError
+        If the camera has room for too few sums, or for too narrow ones.
     """
-    design = design_sums(calibration, most_photons=max(picture_frames, LEAST_PHOTONS))
+    room = room or ReductionRoom()
+    most_photons = max(picture_frames, LEAST_PHOTONS)
+    wanted = min(calibration.templates.bands + MORE_SUMS, room.sums)
+    entry_bits = min(ENTRY_BITS, room.entry_bits)
+    design = design_sums(calibration, sums=wanted, entry_bits=entry_bits, most_photons=most_photons)
+    if max(design.tables.widths) > room.sum_bits:
+        raise HueflightError(
+            f"sums of {picture_frames} frames need {max(design.tables.widths)} bits, the camera "
+            f"has room for {room.sum_bits}: ask for more pictures per second"
+        )
     described = describe_sums(design, calibration)
     return Reduction(
         described.tables,

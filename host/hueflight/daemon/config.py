@@ -7,6 +7,7 @@ import math
 import re
 import tomllib
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -97,6 +98,9 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Serial number of the camera, which is needed if several are plugged in.
     illuminator : str
         Serial port of the illuminator; empty if something else drives the LEDs.
+    sends : str
+        What the camera sends: ``"codes"`` of all frames, a few ``"sums"`` per pixel and picture, or
+        ``"auto"``, which is codes where the link carries them and sums where it does not.
     method : str
         Method of reconstruction, ``"joint"``, ``"pooled"`` or ``"paper"``; empty for the best one
         that keeps up.
@@ -135,6 +139,7 @@ class DaemonConfig(Section, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     rig: str = ""
     camera: str = ""
     illuminator: str = ""
+    sends: Literal["codes", "sums", "auto"] = "auto"
     method: str = ""
     pictures_hz: float = 0.0
     picture_frames: int = 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
 
-_NOTHING = np.empty(0, np.uint16)
+NO_HISTOGRAM = np.empty(0, np.uint16)  #: where only the image is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class Picture:
     kind : str
         Kind of capture, such as ``"scene"`` or ``"reference"``.
     histogram : array, shape (row, col, code)
-        Counts of the frames. The memory is reused once nothing refers to this array any more; a
-        view of it does not keep it.
+        Counts of the frames; empty if the camera sent sums. The memory is reused once nothing
+        refers to this array any more; a view of it does not keep it.
     image : xarray.Dataset or None
         Reconstruction of the histogram; None without a calibration.
     photons : array, shape (row, col)
@@ -76,7 +76,7 @@ class Picture:
 
     def without_histogram(self) -> Picture:
         """Return the same picture without the histogram, whose memory can then be reused."""
-        return replace(self, histogram=_NOTHING)
+        return replace(self, histogram=NO_HISTOGRAM)
 
     def exact(self) -> xr.Dataset:
         """Return the image, or a dataset with only ``photons`` if there is none."""

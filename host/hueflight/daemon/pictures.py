@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import structlog
@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 
 from hueflight import backend
 from hueflight.acquisition.run_settings import RunSettings
-from hueflight.acquisition.snapshot import LiveBlock
+from hueflight.acquisition.snapshot import LiveBlock, LiveSums
 from hueflight.acquisition.supervised_thread import SupervisedThread
 from hueflight.acquisition.thread_priority import ThreadPriority, set_thread_priority
 from hueflight.calibration import Calibration
 from hueflight.daemon.block_window import BlockWindow
 from hueflight.daemon.gathered_window import GatheredWindow
 from hueflight.daemon.incremental_fitter import CHANGE_SIGMA, IncrementalFitter
-from hueflight.daemon.picture import Picture, count_photons
+from hueflight.daemon.picture import NO_HISTOGRAM, Picture, count_photons
 from hueflight.daemon.picture_settings import PictureSettings
 from hueflight.daemon.picture_window import PictureWindow
+from hueflight.daemon.sums_window import SumsWindow
 from hueflight.errors import HueflightError
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
@@ -86,6 +87,10 @@ class Pictures:
         Pictures made so far.
     skipped : int
         Blocks that were outdated before they were reconstructed.
+    reduced : bool
+        True if the newest block was a picture of sums, of which the latest picture is made. Photons
+        of sums do not add up, because only histograms tell what has changed: `settings` then only
+        say how many frames each picture has.
     problem : str
         Why the latest histogram could not be reconstructed; empty if it could.
     thread : SupervisedThread
@@ -112,6 +117,7 @@ class Pictures:
         self.calibration: Calibration | None = None
         self.latest: Picture | None = None
         self.made = self.skipped = 0
+        self.reduced = False
         self._making = False
         self._distinct_frames: int | None = None
         self.problem = ""
@@ -120,10 +126,11 @@ class Pictures:
         self._threads = threads
         self._change_sigma = change_sigma
         self._fitter = self._new_fitter()
-        self._waiting: deque[LiveBlock] = deque()
+        self._waiting: deque[LiveBlock | LiveSums] = deque()
         self._window_blocks, self._rate_hz = window_blocks, rate_hz
         self._block_frames = block_frames
         self._window = self._make_window(self.settings)
+        self._sums = self._make_sums_window(self.settings)
         self._next_window: PictureWindow | None = None
         self._filling = False  # since it began anew
         self._old_blocks = 0  # still to come, which began before the next window
@@ -134,7 +141,7 @@ class Pictures:
         )
         self.thread.start()
 
-    def offer(self, block: LiveBlock, /) -> None:
+    def offer(self, block: LiveBlock | LiveSums, /) -> None:
         """Take the next block; never waits for reconstruction."""
         with self._changed:
             if block.instrument != self.instrument:
@@ -169,7 +176,8 @@ class Pictures:
         """
         window = self._make_window(settings)
         self.settings = settings
-        return window.least * self._block_frames, self.begin_anew(window)
+        least = self._make_sums_window(settings).length if self.reduced else window.least
+        return least * self._block_frames, self.begin_anew(window)
 
     def follow(self, run: RunSettings, instrument: Instrument, /) -> None:
         """Make pictures of another stream, begun anew.
@@ -242,6 +250,7 @@ class Pictures:
                 if self._next_window is not None:
                     self._window.clear()
                     self._window, self._next_window = self._next_window, None
+                    self._sums = self._make_sums_window(self.settings)
                     self._filling = True
                 blocks = list(self._waiting)
                 self._waiting.clear()
@@ -249,12 +258,19 @@ class Pictures:
             if not blocks:
                 continue
             begun_s = time.monotonic()
-            self._window.add_all(blocks)
+            if isinstance(blocks[-1], LiveSums):
+                self._make_of_sums(blocks, begun_s)
+                continue
+            if self.reduced:
+                self.reduced, self._filling = False, True
+                self._sums.clear()
+            histograms = [block for block in blocks if isinstance(block, LiveBlock)]
+            self._window.add_all(histograms)
             if self._filling:  # no pixel may keep an estimate from fewer or older photons
                 self._fitter = self._new_fitter()
                 self._filling = not self._window.full
             if self._is_wanted(begun_s):
-                self._make(blocks[-1], self._window.histogram(), self._window, begun_s)
+                self._make(histograms[-1], self._window.histogram(), self._window, begun_s)
 
     def _make_window(self, settings: PictureSettings) -> PictureWindow:
         if settings.integration_s == 0:
@@ -267,10 +283,16 @@ class Pictures:
             seconds = min(seconds, self._distinct_frames / self._rate_hz)
         return GatheredWindow(self.instrument, seconds, self._rate_hz)
 
+    def _make_sums_window(self, settings: PictureSettings) -> SumsWindow:
+        if settings.integration_s == 0 and settings.frames:
+            return SumsWindow(-(-settings.frames // self._block_frames))
+        return SumsWindow(self._window_blocks)
+
     def _begin_anew(self, reason: str, trace: str) -> None:
         """After a fault of the program: forget what may have caused it."""
         log.error("pictures failed", reason=reason, traceback=trace)
         self._window.clear()
+        self._sums.clear()
         self._fitter = self._new_fitter()
 
     def _new_fitter(self) -> IncrementalFitter:
@@ -289,18 +311,55 @@ class Pictures:
     ) -> None:
         frames = window.frames_by_pixel
         image = self._reconstruct(histogram, newest, frames)
+        photons = count_photons(histogram, image, self.instrument, frames)
+        by_pixel = np.broadcast_to(frames, photons.shape)
+        clock_hz = newest.block.clock_hz
+        self._publish(newest, clock_hz, histogram, image, photons, by_pixel, begun_s)
+
+    def _make_of_sums(self, blocks: Sequence[LiveBlock | LiveSums], begun_s: float) -> None:
+        """Make a picture of the newest pictures of sums."""
+        if not self.reduced:
+            self.reduced = True
+            self._window.clear()
+        for block in blocks:  # histograms of an earlier run
+            block.give_back()
+        newest = blocks[-1]
+        assert isinstance(newest, LiveSums)
+        window, calibration, image = self._sums, self.calibration, None
+        try:
+            window.add_all([block for block in blocks if isinstance(block, LiveSums)])
+            if not self._is_wanted(begun_s):
+                return
+            if calibration is not None and newest.instrument == self.instrument:
+                image = window.reconstruct(calibration)
+            self.problem = ""
+        except HueflightError as error:
+            self.problem = str(error)
+            if window.empty:
+                return
+        frames, photons = window.frames_by_pixel, window.photons
+        self._publish(newest, newest.clock_hz, NO_HISTOGRAM, image, photons, frames, begun_s)
+
+    def _publish(
+        self,
+        newest: LiveBlock | LiveSums,
+        clock_hz: int,
+        histogram: Counts,
+        image: xr.Dataset | None,
+        photons: NDArray[np.integer],
+        frames: NDArray[np.integer],
+        begun_s: float,
+    ) -> None:
         with self._changed:
             self.made, self._making = self.made + 1, False
-        clock_hz = newest.block.clock_hz
-        photons = count_photons(histogram, image, self.instrument, frames)
         picture = Picture(
             number=self.made,
             kind=newest.kind,
             histogram=histogram,
             image=image,
             photons=photons,
-            frames=window.frames,
-            frames_by_pixel=np.broadcast_to(frames, photons.shape),
+            frames=int(frames.max()),
+            frames_by_pixel=frames,
             device_s=newest.block.last_tick / clock_hz if clock_hz else 0.0,
             received_s=newest.received_s,
             begun_s=begun_s,

@@ -14,6 +14,8 @@ from hueflight.errors import HueflightError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS, Instrument
 from hueflight.reconstruction.quality import Quality
 
+NO_COUNTS = "no histogram: the picture was made of sums, or is a file of images"
+
 
 class PixelError(HueflightError):
     """There is no such pixel, or no picture yet."""
@@ -71,6 +73,7 @@ def inspect(
         "photons": int(picture.photons[row, col]),
         "edges_ns": [round(float(edge), 4) for edge in bins.edges_ns],
         "counts": counts.tolist(),
+        "counts_missing": "" if histogram.size else NO_COUNTS,
         "depth_m": None,
         "depth_std_m": None,
         "background": None,

@@ -19,7 +19,7 @@ from hueflight.importers.captures import read_capture
 from hueflight.importers.images import is_image
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
-from hueflight.recording import open_recording
+from hueflight.recording import holds_recorded_sums, open_recording
 
 MOST_FRAMES = 200_000  #: that are counted for one picture
 NEEDED = ("depth_std", "reflectance_std", "photons")  #: of an image, besides what every image has
@@ -112,6 +112,12 @@ class PlayedRecording:
     def __init__(self, path: Path, /) -> None:
         self._recording = open_recording(path)
         info, notes = self._recording.info(), self._recording.metadata
+        if not info.frames and holds_recorded_sums(self._recording):
+            self._recording.close()
+            raise PlaybackError(
+                f"{path.stem} holds sums, which have no single frames to play: make an image with "
+                "'hueflight reconstruct' in the folder of results, which can be shown"
+            )
         self.capture, self.calibration = notes.get("capture", "scene"), notes.get("calibration", "")
         self.simulated = notes.get("simulated", "").lower() == "true"
         self.instrument = self._recording.instrument

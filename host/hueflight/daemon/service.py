@@ -13,7 +13,7 @@ from typing import Any
 
 import structlog
 
-from hueflight.acquisition.plan import RunPlan
+from hueflight.acquisition.plan import CaptureError, RunPlan
 from hueflight.acquisition.runner import Acquisition
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.acquisition.supervised_thread import SupervisedThread
@@ -22,6 +22,7 @@ from hueflight.color.live_color import LiveColor
 from hueflight.daemon.calibration_job import CalibrationJob
 from hueflight.daemon.cameras import Cameras
 from hueflight.daemon.check_job import CheckJob
+from hueflight.daemon.codes_choice import CodesChoice
 from hueflight.daemon.config import DaemonConfig
 from hueflight.daemon.disk_watch import DiskWatch
 from hueflight.daemon.finisher import Finisher
@@ -54,6 +55,10 @@ from hueflight.model.instrument import Instrument
 log = structlog.get_logger("hueflight.daemon")
 STALE_S = 2.0  #: a picture older than this, and than three intervals, is stale
 LIVE = RunPlan(live=True)
+SUMS_SENT = (
+    'the camera sends sums; write sends = "codes" in the configuration, or lower the frame rate to '
+    "what the link carries"
+)
 
 
 class Service:
@@ -100,6 +105,8 @@ class Service:
         Calibrates a simulated camera, unplugs it, and changes what it sees.
     live_color : LiveColor
         Colours of live pictures.
+    codes_choice : CodesChoice
+        Has the camera send codes or sums.
     materials : PictureMaterials
         Abundances and indices of live pictures.
     latencies : LatencyMeter
@@ -188,6 +195,13 @@ class Service:
             calibration=lambda: self.pictures.calibration,
             method=lambda: self.pictures.settings.method,
         )
+        self.codes_choice = CodesChoice(
+            self.acquisition,
+            config.sends,
+            calibration=lambda: self.pictures.calibration,
+            settings=lambda: self.settings,
+            lock=self._using,
+        )
         self.cameras = Cameras(config.cameras)
         self.simulated_part = SimulatedPart(
             self.acquisition, self.pictures, use=self.calibration_job.use_simulated
@@ -259,6 +273,7 @@ class Service:
             If the settings are not possible.
         """
         settings = self.pictures.settings
+        self._check_sums_allow(integration_s, method)
         if frames is not None:
             seconds = 0.0 if frames else self.config.integration_or_default
             settings = replace(settings, frames=frames, integration_s=seconds)
@@ -267,6 +282,17 @@ class Service:
         if method is not None:
             settings = replace(settings, method=method)
         return self.pictures.change(settings)
+
+    def _check_sums_allow(self, integration_s: float | None, method: str | None) -> None:
+        """Refuse ways to make pictures that need histograms while the camera sends sums."""
+        if not self.pictures.reduced:
+            return
+        if method not in (None, "sums"):
+            raise CaptureError(f"method {method!r} needs histograms: {SUMS_SENT}")
+        if integration_s:
+            raise CaptureError(
+                f"only histograms tell what has changed, so that photons can add up: {SUMS_SENT}"
+            )
 
     def stop(self) -> None:
         """End the present run, and stay idle.
@@ -315,10 +341,12 @@ class Service:
             controls = replace(self.acquisition.controls, **changes)
             controls = controls.in_ticks(stated, snapshot.capacity)
             controls.check(stated, snapshot.timing)
-            self.settings = run_settings(self.config, controls.instrument(stated))
             with self._using:
+                self.settings = run_settings(self.config, controls.instrument(stated))
+                # tables belong to one schedule and one number of frames: they are made anew
+                controls = replace(controls, reduction=None, codes_rate_hz=None)
                 self._follow(controls.scheduled(stated))
-            self.acquisition.set_controls(controls, self.settings)
+                self.acquisition.set_controls(controls, self.settings)
         log.info("controls changed", **describe_controls(controls))
 
     def _follow(self, instrument: Instrument) -> None:
@@ -393,6 +421,7 @@ class Service:
                 self.calibration_job, calibrated=self.pictures.calibration is not None
             ),
             "check": self.check_job.state.as_dict(),
+            "stream": self.codes_choice.as_dict(),
             "recording": recording_status(self.recording_job, snapshot),
             "latency_s": self.latencies.as_dict(),
             "viewers": self.viewers,
@@ -419,6 +448,7 @@ class Service:
                 "failures": failures,
             },
             "pictures": _part(self.pictures.thread),
+            "codes or sums": _part(self.codes_choice.thread),
             "disk": _part(self.disk.thread, problem=self.disk.problem),
             "finisher": _part(self.finisher.thread),
         }
@@ -459,6 +489,7 @@ class Service:
         """End everything in order, so that recordings are finished."""
         self.simulated_part.close()
         self.calibration_job.close()
+        self.codes_choice.close()
         self.acquisition.close()
         self.pictures.close()
         self.playback.close()

@@ -71,9 +71,10 @@ def picture_status(pictures: Pictures, /, *, now_s: float, stale_after_s: float)
         "stale": age_s is None or age_s > stale_after_s,
         "stale_after_s": stale_after_s,
         "skipped": pictures.skipped,
-        "method": pictures.settings.method,
+        "method": "sums" if pictures.reduced else pictures.settings.method,
         "methods": list(METHODS),
-        "integration_s": pictures.settings.integration_s,  # infinity becomes null in JSON
+        # infinity becomes null in JSON
+        "integration_s": 0.0 if pictures.reduced else pictures.settings.integration_s,
         "frames": _NO_FRAMES if picture is None else picture.spread_of_frames,
     }
 
@@ -106,7 +107,8 @@ def recording_status(job: RecordingJob, snapshot: Snapshot, /) -> dict[str, Any]
 def describe_controls(controls: CameraControls, /) -> dict[str, Any]:
     """Return what of camera and LEDs may be changed, as JSON holds it."""
     described = asdict(replace(controls, reduction=None)) | {"leaves_out": controls.leaves_out}
-    del described["reduction"]
+    for name in ("reduction", "codes_rate_hz"):  # the daemon chooses these by itself
+        del described[name]
     return described
 
 

@@ -21,10 +21,11 @@ from hueflight.devices.transports.stream import Stream, StreamStatistics
 from hueflight.model.instrument import Instrument
 from hueflight_protocol import ReductionRoom, RegisterMap, camera_map
 from hueflight_protocol.camera_map import BOARD
+from hueflight_protocol.links import LINKS
 from hueflight_protocol.typed_registers import camera as registers
 from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
 
-MAX_BYTES_PER_S = 400e6  #: what USB 3 carries in practice
+MAX_BYTES_PER_S = LINKS["FT601"]  #: what USB 3 carries in practice
 TRANSFER_S = 0.004  #: a transfer holds about this much of the stream
 MIN_TRANSFER_BYTES, MAX_TRANSFER_BYTES = 1 << 14, 1 << 20
 
@@ -77,6 +78,9 @@ class Camera:
         True if the photons are simulated.
     simulation : Simulation, optional
         Other side of a simulated camera.
+    link : str, optional
+        What the packet stream goes over, one of `hueflight_protocol.links.LINKS`; empty where that
+        is not known, or sets no limit.
 
     Attributes
     ----------
@@ -86,6 +90,8 @@ class Camera:
         Geometry, width of a code, codes per clock at the sensor port, and pixels per chunk.
     board : Board
         Its registers.
+    link : str
+        What the packet stream goes over.
 
     Raises
     ------
@@ -101,8 +107,9 @@ class Camera:
         *,
         simulated: bool = False,
         simulation: Simulation | None = None,
+        link: str = "",
     ) -> None:
-        self.simulated = simulated
+        self.simulated, self.link = simulated, link
         self.simulation = simulation
         self._open_stream = open_stream
         self._stream: Stream | None = None
@@ -132,6 +139,14 @@ class Camera:
     def can_reduce(self) -> bool:
         """Whether the camera can reduce codes to sums."""
         return registers.Reduction.ADDRESS in self.board.registers
+
+    @property
+    def reduction_room(self) -> ReductionRoom | None:
+        """What the camera has room for to reduce codes to sums; None if it can't."""
+        if not self.can_reduce:
+            return None
+        room = self.board.read(registers.ReductionRoom)
+        return ReductionRoom(room.sums, room.entry_bits, room.sum_bits, room.group)
 
     def require(self, instrument: Instrument) -> None:
         """Compare the sensor with an instrument's.

@@ -102,6 +102,9 @@ class CameraControls:
         When each LED fires; None for the delays and the period of the instrument.
     reduction : Reduction or None
         Tables with which the camera reduces its codes to sums; None to have it send codes.
+    codes_rate_hz : float or None
+        Frames per second at most in runs that need histograms, where the link does not carry the
+        codes of all frames. None for no limit.
     """
 
     rate_hz: float | None = None
@@ -111,6 +114,7 @@ class CameraControls:
     masked: tuple[tuple[int, int], ...] = ()
     schedule: Schedule | None = None
     reduction: Reduction | None = None
+    codes_rate_hz: float | None = None
 
     @property
     def leaves_out(self) -> bool:
@@ -122,15 +126,26 @@ class CameraControls:
         """True if the camera sends sums and no codes."""
         return self.reduction is not None and not self.reduction.with_codes
 
-    def with_histograms(self) -> CameraControls:
+    def with_histograms(self, instrument: Instrument, /) -> CameraControls:
         """Return these controls for a run that needs histograms.
+
+        Parameters
+        ----------
+        instrument : Instrument
+            The instrument, which states the frame rate.
 
         Returns
         -------
         CameraControls
-            The same if the camera sends codes, otherwise with codes instead of sums.
+            With codes instead of sums, at no more frames per second than `codes_rate_hz`; the same
+            if nothing is to be changed.
         """
-        return replace(self, reduction=None) if self.sends_sums_only else self
+        rate_hz, most = self.rate_hz, self.codes_rate_hz
+        present = instrument.sensor.usual_frame_rate_hz if rate_hz is None else rate_hz
+        if most is not None and most < present:
+            rate_hz = most
+        reduction = None if self.sends_sums_only else self.reduction
+        return replace(self, reduction=reduction, rate_hz=rate_hz)
 
     def check(self, instrument: Instrument, timing: CameraTiming | None, /) -> None:
         """Refuse what an instrument's camera can't do.

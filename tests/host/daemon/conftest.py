@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -58,6 +58,7 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
         bank: FrameBank | None = None,
         rig: str = "",
         cameras: tuple[CameraConfig, ...] = (),
+        sends: Literal["codes", "sums", "auto"] = "auto",
         **server: Any,
     ) -> Iterator[TestClient]:
         bank = bank or FrameBank.random(instrument.sensor, occupancy=0.3, frames=16)
@@ -72,7 +73,7 @@ def open_daemon(tmp_path: Path, instrument: hf.Instrument) -> Callable[..., Any]
             return Rig(camera, FakeIllumination())
 
         config = DaemonConfig(
-            data=str(tmp_path / "data"), server=ServerConfig(**server), cameras=cameras
+            data=str(tmp_path / "data"), server=ServerConfig(**server), cameras=cameras, sends=sends
         )
         open_rig = rig_from_uri(rig, instrument) if rig else connect
         app = make_app(config, open_rig, instrument, port=PORT, tokens=Tokens(token, viewer_token))

@@ -198,6 +198,15 @@ class RecordingStatus(Answer, frozen=True, kw_only=True):
     last: Summary
 
 
+class StreamStatus(Answer, frozen=True, kw_only=True):
+    """What the camera sends, why, and over which link; the link is empty if it is not known."""
+
+    sent: Literal["codes", "sums"]
+    configured: Literal["codes", "sums", "auto"]
+    reason: str
+    link: str
+
+
 class Status(Answer, frozen=True, kw_only=True):
     """The daemon's status."""
 
@@ -220,6 +229,7 @@ class Status(Answer, frozen=True, kw_only=True):
     picture: PictureStatus
     calibration: CalibrationStatus
     check: CheckStatus
+    stream: StreamStatus
     recording: RecordingStatus
     latency_s: dict[str, float] | None
     viewers: Count
@@ -418,6 +428,7 @@ class PixelAnswer(Answer, frozen=True, kw_only=True):
     photons: Count
     edges_ns: list[float]
     counts: list[int]
+    counts_missing: str
     depth_m: float | None
     depth_std_m: float | None
     background: float | None

@@ -67,12 +67,12 @@ def _picture(service: Service, body: PictureBody) -> dict[str, Any]:
     frames, number = service.change_pictures(
         **{name: value for name, value in chosen.items() if value is not msgspec.UNSET}
     )
-    settings = service.pictures.settings
+    settings, reduced = service.pictures.settings, service.pictures.reduced
     return {
         "frames": frames,
         "number": number,
-        "integration_s": settings.integration_s,
-        "method": settings.method,
+        "integration_s": 0.0 if reduced else settings.integration_s,
+        "method": "sums" if reduced else settings.method,
     }
 
 
@@ -168,6 +168,7 @@ CAMERA_OPERATIONS: tuple[Operation, ...] = (
         _picture,
         answer=PictureAnswer,
         body=PictureBody,
+        conflicts=True,
     ),
     Operation(
         "GET",

@@ -37,6 +37,8 @@ export function showFacts(status) {
     calibration.step === "failed" ? "bad" : "");
   set("f-check", check.message ? [check.message, ...check.findings].join("; ") : "–",
     check.findings.length || check.step === "failed" ? "bad" : "");
+  const { stream } = status;
+  set("f-stream", `${stream.sent}: ${stream.reason}`);
   const waiting = recording.queue_bytes || link.queue_bytes;
   const disk = recording.name
     ? `${recording.name}: ${big(recording.frames)} frames, ${big(recording.bytes, "B")}`

@@ -58,7 +58,7 @@ export function showPixel() {
   // a pixel that a live picture skips has not changed since it was fitted
   const words = facts.quality.map((flag) => (flag === "skipped" ? "unchanged" : flag.replaceAll("_", " ")));
   const flags = words.length ? `; ${words.join(", ")}` : "";
-  setText($("pixel-note"), `${facts.photons.toLocaleString("en")} photons${facts.frames ? ` in ${facts.frames} frames` : ""}${flags}`);
+  setText($("pixel-note"), `${facts.photons.toLocaleString("en")} photons${facts.frames ? ` in ${facts.frames} frames` : ""}${flags}${facts.counts_missing ? `; ${facts.counts_missing}` : ""}`);
   setText($("pixel-materials"), (facts.materials ?? []).map(materialText).join("; "));
 }
 

@@ -35,6 +35,8 @@ from hueflight.devices.transports.usb_stream import UsbStream
 
 GONE = (errno.ENODEV, errno.ESHUTDOWN, errno.ENOENT)
 _SEND_TIMEOUT_MS = 1000
+#: boards on SuperSpeed have an FT601
+LINK_OF_SPEED = {usb.util.SPEED_HIGH: "USB 2", usb.util.SPEED_SUPER: "FT601"}
 
 
 @dataclass(frozen=True)
@@ -110,14 +112,25 @@ def open_camera(serial: str | None = None) -> Camera:
     place = _choose(find_cameras(), serial)
     transport = UsbTransport(place)
     try:
-        return Camera(transport, lambda size: UsbStream(place.bus, place.address, size))
+        return Camera(
+            transport,
+            lambda size: UsbStream(place.bus, place.address, size),
+            link=transport.link,
+        )
     except BaseException:
         transport.close()
         raise
 
 
 class UsbTransport:
-    """Control messages of one camera; the interface stays claimed until `close`."""
+    """Control messages of one camera; the interface stays claimed until `close`.
+
+    Attributes
+    ----------
+    link : str
+        What the camera is plugged into, one of `hueflight_protocol.links.LINKS`; empty if the
+        system does not know.
+    """
 
     def __init__(self, place: UsbPlace) -> None:
         self.name = place.name
@@ -126,6 +139,7 @@ class UsbTransport:
         )
         if self._device is None:
             raise DeviceGoneError(f"{self.name}: the camera was unplugged")
+        self.link = LINK_OF_SPEED.get(self._device.speed, "")
         try:
             self._check_endpoints(self._device)
             usb.util.claim_interface(self._device, CONTROL_INTERFACE)

@@ -35,6 +35,7 @@ BACKGROUNDS = (0.1, 0.3, 1.0)  #: photons of background per photon of signal
 DARK = 0.1  #: reflectance of the other bands where a third of the bands is bright
 AMPLITUDE_WEIGHT = 1 / 3  #: of an amplitude's score against that of the delay
 MORE_SUMS = 6  #: than bands
+ENTRY_BITS = 8  #: of an entry of the tables
 HEADROOM = 5.0  #: standard deviations of a sum above its greatest mean that its width holds
 
 
@@ -74,7 +75,7 @@ def design_sums(
     /,
     *,
     sums: int | None = None,
-    entry_bits: int = 8,
+    entry_bits: int = ENTRY_BITS,
     depth_range: tuple[float, float] | None = None,
     most_photons: float = 2000.0,
 ) -> SumsDesign:

@@ -139,6 +139,15 @@ def refused(
         np.testing.assert_array_equal(now, then)
 
 
+def test_the_work_calls_every_function(calls: Any) -> None:
+    declared = {
+        f"{name}.{function.name}"
+        for name, kernel in KERNELS.items()
+        for function in kernel.interface.functions
+    }
+    assert declared <= set(calls)
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_the_call_itself_is_accepted(calls: Any, name: str) -> None:
     function, arguments = calls[name]()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from amaranth.hdl import Assert, Module, Signal
 
-from ..camera.reduction import LEAST_GROUPS, ReductionCore, SaturatingSum
+from ..camera.reduction.core import LEAST_GROUPS, ReductionCore, SaturatingSum
 from .harness import FreeHarness
 
 WIDTH, ENTRY_BITS = 19, 8
@@ -22,8 +22,13 @@ class SumHarness(FreeHarness):
         """The sum is exact or the greatest value, and never less than before."""
         adder = self.adder
         exact = adder.after == adder.before + adder.entry
-        greatest = adder.after.all() & (adder.before + adder.entry >= (1 << WIDTH) - 1)
-        m.d.comb += [Assert(exact | greatest), Assert(adder.after >= adder.before)]
+        greatest = (adder.after == adder.limit) & (adder.before + adder.entry >= adder.limit)
+        never_less = (adder.after >= adder.before) | (adder.before > adder.limit)
+        m.d.comb += [
+            Assert(exact | greatest),
+            Assert(adder.after <= adder.limit),
+            Assert(never_less),
+        ]
 
 
 class BanksHarness(FreeHarness):
@@ -36,8 +41,6 @@ class BanksHarness(FreeHarness):
             code_bits=2,
             widths=(2,),
             entry_bits=1,
-            first=1,
-            last=3,
         )
         super().__init__(self.core)
 
@@ -46,7 +49,7 @@ class BanksHarness(FreeHarness):
         core = self.core
         written = core.writing & (core.write_bank == core.read_bank)
         m.d.comb += Assert(~(core.ready & written))
-        for value in (core.read_bank, core.picture, core.frames):
+        for value in (core.read_bank, core.picture, core.frames, core.photons):
             before, kept = Signal.like(value), Signal()
             m.d.sync += [before.eq(value), kept.eq(core.ready & ~core.done)]
             with m.If(kept):

@@ -6,12 +6,13 @@ from dataclasses import replace
 import pytest
 from amaranth.hdl import Module, Signal
 
-from hueflight_hdl.camera import counters, reduction
+from hueflight_hdl.camera import counters
 from hueflight_hdl.camera.exposure.frame_guard import FrameGuard
 from hueflight_hdl.camera.formatter import formatter as formatter_module
 from hueflight_hdl.camera.formatter.admission import FrameAdmission
 from hueflight_hdl.camera.formatter.formatter import FrameFormatter
 from hueflight_hdl.camera.formatter.trailer import TrailerWriter
+from hueflight_hdl.camera.reduction import core as reduction
 from hueflight_hdl.common.counter import SaturatingCounter
 from hueflight_hdl.proofs import camera_capture, camera_formatter
 from hueflight_hdl.proofs.camera import PROOFS

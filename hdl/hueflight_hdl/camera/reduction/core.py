@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reduction of codes to a few sums per pixel, in two banks: one gathers, the other is read out.
 
-`hueflight_protocol.reduction` defines the results bit for bit. The core is not part of a board's
-design yet.
+`hueflight_protocol.reduction` defines the results bit for bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from amaranth.hdl import Cat, Module, Mux, Signal, ValueLike, signed, unsigned
+from amaranth.hdl import Cat, Module, Mux, Signal, Value, ValueLike, signed, unsigned
 from amaranth.lib import data, wiring
 from amaranth.lib.memory import Memory, WritePort
 from amaranth.lib.wiring import In, Out
@@ -20,8 +19,10 @@ LATENCY = 5
 """Clocks from a beat to the end of its write."""
 LEAST_GROUPS = LATENCY + 1
 """Groups of a frame, at least, so that no group is read while its sums are still on their way."""
-FRAME_BITS = 16
+FRAME_BITS = 32
 """Width of the number of frames of a picture."""
+PHOTON_BITS = 64
+"""Width of the number of codes that were added to a picture."""
 OFFSET_BITS = 8
 
 
@@ -62,19 +63,27 @@ class SaturatingSum(wiring.Component):
     -------
     before, entry : In
         The sum so far and what is added.
+    limit : In
+        Greatest value of the sum.
     after : Out
-        Their sum, at most 2**width - 1.
+        Their sum, at most `limit`.
     """
 
     def __init__(self, width: int, entry_bits: int) -> None:
         self.width = width
-        super().__init__({"before": In(width), "entry": In(entry_bits), "after": Out(width)})
+        super().__init__(
+            {
+                "before": In(width),
+                "entry": In(entry_bits),
+                "limit": In(width),
+                "after": Out(width),
+            }
+        )
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
         total = self.before + self.entry
-        limit = (1 << self.width) - 1
-        m.d.comb += self.after.eq(Mux(total > limit, limit, total))
+        m.d.comb += self.after.eq(Mux(total > self.limit, self.limit, total))
         return m
 
 
@@ -90,27 +99,41 @@ class ReductionCore(wiring.Component):
     pixels, lanes, code_bits : int
         Pixels of a frame, a multiple of `lanes`; codes per clock; width of a code.
     widths : sequence of int
-        Bits of each sum.
+        Bits of each sum, at most.
     entry_bits : int
         Bits of a table entry.
-    first, last : int
-        Range of codes that stand for a time; all others add nothing.
 
     Members
     -------
     valid, codes, first_beat, last_beat : In
         A beat, and whether it is the first or the last of a frame.
+    first, last : In
+        Range of codes that stand for a time; all others add nothing.
+    limits : In
+        Greatest value of each sum.
     frames_per_picture : In
-        Frames after which a picture is over.
+        Frames after which a picture is over; 0 as 1.
+    clear : In(1)
+        Begin anew: give up the picture that gathers and count pictures from 0.
+    discard : In(1)
+        Give up the picture that gathers, since a frame of it ended early. No beat comes.
+    finish : In(1)
+        End the picture between two frames if it holds any, once the earlier one was read out.
     table_write, table_code, table_entries : In
         Write the entries of one code, those of the first sum in the lowest bits. Only while no
         frame comes.
     offset_write, offset_group, offsets : In
         Write the offsets of one group.
+    held : Out(1)
+        There is a picture that has not been read; the other one can't end.
     ready : Out(1)
-        A picture can be read.
-    picture, frames : Out
-        Its number, and the frames that it holds.
+        It can be read.
+    picture, frames, photons : Out
+        Its number, the frames that it holds and the codes that were added.
+    gathered : Out
+        Frames of the picture that gathers.
+    swapped : Out(1)
+        That picture ends in this clock.
     read_group : In, sums : Out
         A group of the picture, and its sums one clock later, lane after lane.
     done : In(1)
@@ -127,15 +150,13 @@ class ReductionCore(wiring.Component):
         code_bits: int,
         widths: Sequence[int],
         entry_bits: int,
-        first: int,
-        last: int,
     ) -> None:
         self.lanes, self.groups, self.code_bits = lanes, groups_of(pixels, lanes), code_bits
         self.widths, self.entry_bits = tuple(widths), entry_bits
-        self.first, self.last = first, last
-        self.sums_layout = data.ArrayLayout(
-            data.StructLayout({f"sum{k}": width for k, width in enumerate(self.widths)}), lanes
+        self.pixel_layout = data.StructLayout(
+            {f"sum{k}": width for k, width in enumerate(self.widths)}
         )
+        self.sums_layout = data.ArrayLayout(self.pixel_layout, lanes)
         self.entries_layout = data.ArrayLayout(entry_bits, len(self.widths))
         super().__init__(
             {
@@ -143,16 +164,26 @@ class ReductionCore(wiring.Component):
                 "codes": In(data.ArrayLayout(code_bits, lanes)),
                 "first_beat": In(1),
                 "last_beat": In(1),
+                "first": In(code_bits),
+                "last": In(code_bits),
+                "limits": In(self.pixel_layout),
                 "frames_per_picture": In(FRAME_BITS),
+                "clear": In(1),
+                "discard": In(1),
+                "finish": In(1),
                 "table_write": In(1),
                 "table_code": In(code_bits),
                 "table_entries": In(self.entries_layout),
                 "offset_write": In(1),
                 "offset_group": In(range(self.groups)),
                 "offsets": In(data.ArrayLayout(signed(OFFSET_BITS), lanes)),
+                "held": Out(1),
                 "ready": Out(1),
                 "picture": Out(32),
                 "frames": Out(FRAME_BITS),
+                "photons": Out(PHOTON_BITS),
+                "gathered": Out(FRAME_BITS),
+                "swapped": Out(1),
                 "read_group": In(range(self.groups)),
                 "sums": Out(self.sums_layout),
                 "done": In(1),
@@ -166,6 +197,8 @@ class ReductionCore(wiring.Component):
         m = Module()
         group, bank, fresh = self._sequence(m)
         place = Cat(group, bank)
+        span = Signal(self.code_bits + 1)  # codes that stand for a time
+        m.d.sync += span.eq(self.last - self.first + 1)
 
         # clock 1: offsets arrive
         valid, code, at = Signal(), Signal(self.codes.shape()), Signal(len(place))
@@ -180,7 +213,7 @@ class ReductionCore(wiring.Component):
         for lane in range(self.lanes):
             index = Signal(self.code_bits)
             m.d.sync += [
-                index.eq(self._index(m, code[lane], offsets[lane])),
+                index.eq(self._index(m, code[lane], offsets[lane], span)),
                 counted[lane].eq((code[lane] >= self.first) & (code[lane] <= self.last)),
             ]
             indices.append(index)
@@ -199,6 +232,7 @@ class ReductionCore(wiring.Component):
                 m.d.comb += [
                     adder.before.eq(Mux(fresh3, 0, before[lane][f"sum{k}"])),
                     adder.entry.eq(Mux(counted3[lane], entries[lane][k], 0)),
+                    adder.limit.eq(self.limits[f"sum{k}"]),
                 ]
                 m.d.sync += after[lane][f"sum{k}"].eq(adder.after)
         m.d.sync += [write.en.eq(valid3), write.addr.eq(at3)]
@@ -207,40 +241,61 @@ class ReductionCore(wiring.Component):
             self.writing.eq(write.en),
             self.write_bank.eq(write.addr[-1]),
         ]
+        starts = Signal()
+        m.d.comb += starts.eq(self.valid & fresh & (group == 0))
+        self._photons(m, starts, Mux(valid3, counted3, 0))
         return m
+
+    def _photons(self, m: Module, starts: Signal, counted: Value) -> None:
+        """Count the codes that are added, `counted` being three clocks behind the beats."""
+        started, over = Signal(3), Signal(3)
+        m.d.sync += [started.eq(Cat(starts, started)), over.eq(Cat(self.swapped, over))]
+        so_far, total = Signal(PHOTON_BITS), Signal(PHOTON_BITS)
+        m.d.comb += total.eq(Mux(started[-1], 0, so_far) + sum(counted))
+        m.d.sync += so_far.eq(total)
+        with m.If(over[-1]):
+            m.d.sync += self.photons.eq(total)
 
     def _sequence(self, m: Module) -> tuple[Signal, Signal, Signal]:
         """Group, bank and whether the sums begin anew, of the beat in this clock."""
         following = Signal(range(self.groups))
         group = Signal(range(self.groups))
         bank, fresh = Signal(), Signal(init=1)
-        held = Signal()  # the other bank holds a picture that was not read
-        count, number = Signal(FRAME_BITS), Signal(32)
-        drain = Signal(LATENCY + 1)
-        m.d.comb += group.eq(Mux(self.first_beat, 0, following))
-        m.d.comb += self.read_bank.eq(~bank)
-        m.d.sync += drain.eq(drain << 1)
+        number, drain = Signal(32), Signal(LATENCY + 1)
+        count, frames, held = self.gathered, Signal(FRAME_BITS), self.held
+        due = Signal()  # the next frame is the picture's last; known long before that frame ends
+        ends = Signal()
+        m.d.comb += [
+            group.eq(Mux(self.first_beat, 0, following)),
+            frames.eq(Mux(self.valid, count + 1, count)),
+            ends.eq(Mux(self.valid, self.last_beat & due, self.finish & (following == 0))),
+            self.swapped.eq(ends & (frames != 0) & ~held & ~self.discard & ~self.clear),
+            self.read_bank.eq(~bank),
+        ]
+        m.d.sync += [drain.eq(drain << 1), due.eq(count + 1 >= self.frames_per_picture)]
         with m.If(drain[-1]):
             m.d.sync += self.ready.eq(1)
         with m.If(self.done & self.ready):
             m.d.sync += [self.ready.eq(0), held.eq(0)]
         with m.If(self.valid):
             m.d.sync += following.eq(Mux(group == self.groups - 1, 0, group + 1))
-        frames = Signal(FRAME_BITS)
-        m.d.comb += frames.eq(Mux(count.all(), count, count + 1))
-        with m.If(self.valid & self.last_beat):
-            m.d.sync += [count.eq(frames), fresh.eq(0)]
-            with m.If((frames >= self.frames_per_picture) & ~held):
-                m.d.sync += [
-                    bank.eq(~bank),
-                    fresh.eq(1),
-                    held.eq(1),
-                    count.eq(0),
-                    drain.eq(1),
-                    self.frames.eq(frames),
-                    self.picture.eq(number),
-                    number.eq(number + 1),
-                ]
+            with m.If(self.last_beat):
+                m.d.sync += [count.eq(frames), fresh.eq(0)]
+        with m.If(self.swapped):
+            m.d.sync += [
+                bank.eq(~bank),
+                fresh.eq(1),
+                held.eq(1),
+                count.eq(0),
+                drain.eq(1),
+                self.frames.eq(frames),
+                self.picture.eq(number),
+                number.eq(number + 1),
+            ]
+        with m.If(self.discard | self.clear):
+            m.d.sync += [fresh.eq(1), count.eq(0), following.eq(0)]
+        with m.If(self.clear):
+            m.d.sync += number.eq(0)
         return group, bank, fresh
 
     def _offsets(self, m: Module, group: Signal) -> data.View:
@@ -255,9 +310,8 @@ class ReductionCore(wiring.Component):
         ]
         return read.data
 
-    def _index(self, m: Module, code: ValueLike, offset: ValueLike) -> Signal:
+    def _index(self, m: Module, code: ValueLike, offset: ValueLike, count: Signal) -> Signal:
         """Place in the tables, which continue at the other end of the range of times."""
-        count = self.last - self.first + 1
         moved = Signal(signed(self.code_bits + 2))
         result = Signal(unsigned(self.code_bits))
         m.d.comb += moved.eq(code + offset)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from amaranth.sim import Simulator
 
-from hueflight_hdl.camera.reduction import ReductionCore, groups_of
+from hueflight_hdl.camera.reduction.core import ReductionCore, groups_of
 from hueflight_protocol.errors import HueflightError
 from hueflight_protocol.reduction import ReductionTables, reduce_codes
 
@@ -26,6 +26,9 @@ def run(dut, tables, offsets, frames, *, per_picture: int, pause: float, slow: i
 
     async def sensor(ctx: Any) -> None:
         ctx.set(dut.frames_per_picture, per_picture)
+        ctx.set(dut.first, tables.first)
+        ctx.set(dut.last, tables.last)
+        ctx.set(dut.limits, {f"sum{k}": int(limit) for k, limit in enumerate(tables.limits)})
         for code in range(1 << dut.code_bits):
             ctx.set(dut.table_code, code)
             ctx.set(dut.table_entries, [int(e) for e in tables.entries[:, code]])
@@ -92,7 +95,7 @@ def test_sums_are_those_of_the_twin(seed, lanes, widths, entry_bits, pause, slow
     tables = random_tables(rng, code_bits, widths, entry_bits)
     pixels = lanes * int(rng.integers(6, 12))
     dut = ReductionCore(pixels=pixels, lanes=lanes, code_bits=code_bits, widths=widths,
-                        entry_bits=entry_bits, first=tables.first, last=tables.last)  # fmt: skip
+                        entry_bits=entry_bits)  # fmt: skip
     frames = rng.integers(0, 1 << code_bits, (37, pixels))
     reach = min(127, tables.last - tables.first)
     offsets = rng.integers(-reach, reach + 1, pixels)

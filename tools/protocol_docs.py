@@ -257,7 +257,8 @@ REGISTERS_HEAD = """\
 32-bit words and are the same in every build; registers beyond the size of a build are absent.
 Fields are listed with their bits, name and meaning. Bits outside of fields read as 0. Reset values
 are 0 unless stated otherwise; those of `const` registers are the values of the build shown here.
-Registers whose names begin with `reduction` exist only in builds that can reduce codes to sums.
+Registers whose names begin with `reduction` exist only in builds that can reduce codes to sums; the
+[page on sums](sums.md) says what a camera does with settings that it can't follow.
 """
 
 

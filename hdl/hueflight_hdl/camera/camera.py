@@ -10,6 +10,7 @@ from amaranth.lib import data, stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
 from hueflight_protocol.camera_map import PIXEL_MASK_ADDRESS, camera_map
+from hueflight_protocol.reduction_registers import ReductionRoom
 from hueflight_protocol.registers import RegisterMap
 from hueflight_protocol.wire import FrameFlags
 
@@ -25,6 +26,10 @@ from .formatter.formatter import FrameFormatter
 from .formatter.pixel_mask import PixelMask
 from .frame_format import FormatError, FrameFormat
 from .messages import Messenger
+from .readout import Readout, plain_readout, reduced_readout
+from .reduction.message_merge import MessageMerge
+from .reduction.reducer import PACKET_WORDS, Reducer, check_room
+from .reduction.registers import connect_registers, lock_of
 from .sensor.port import SensorPort
 from .sensor.scene import Scene
 from .sensor.synthetic import SyntheticSensor
@@ -62,6 +67,10 @@ class CameraConfig:
         Scene of the synthetic sensor.
     patience : int
         Clocks without a beat after which a readout is given up.
+    reduction : ReductionRoom, optional
+        What the reduction to sums has room for; by default there is none.
+    sums_words : int
+        Words of eight bytes in a packet of sums, at most; a power of two.
     serial : int
         Serial number of the board.
     source : int
@@ -70,7 +79,8 @@ class CameraConfig:
     Raises
     ------
     FormatError
-        If the buffer is smaller than what is asked of it, or the scene does not fit.
+        If the buffer is smaller than what is asked of it, or the scene or the reduction does not
+        fit.
     """
 
     form: FrameFormat = field(default_factory=FrameFormat)
@@ -80,12 +90,16 @@ class CameraConfig:
     overlap: bool = True
     scene: Scene | None = None
     patience: int = PATIENCE_CLOCKS
+    reduction: ReductionRoom | None = None
+    sums_words: int = PACKET_WORDS
     serial: int = 0
     source: int = 0
 
     def __post_init__(self) -> None:
         if self.scene is not None:
             self.scene.check(self.form)
+        if self.reduction is not None:
+            check_room(self.form, self.reduction, packet_words=self.sums_words)
         if not 3 <= self.admit_words <= self.buffer_words:
             raise FormatError(
                 f"admit_words = {self.admit_words}: must be from 3 to buffer_words = "
@@ -103,6 +117,7 @@ class CameraConfig:
             run=form.run,
             geometry=form.geometry,
             clock_hz=form.clock_hz,
+            reduction=self.reduction,
         )
 
 
@@ -126,8 +141,13 @@ class Camera(wiring.Component):
     def __init__(self, config: CameraConfig) -> None:
         self.config = config
         form = config.form
+        reduces = config.reduction is not None
         self._registers = RegisterFile(
-            config.registers(), constants=self._constants(), windows=("pixel_mask",)
+            config.registers(),
+            constants=self._constants(),
+            windows=("pixel_mask",),
+            lock_of=lock_of if reduces else None,
+            locks=1 if reduces else 0,
         )
         self._exposure = ExposureControl()
         self._synthetic = SyntheticSensor(form, config.scene)
@@ -136,6 +156,14 @@ class Camera(wiring.Component):
         self._mask = PixelMask(form)
         self._counters = CaptureCounters()
         self._messenger = Messenger()
+        self._reducer: Reducer | None = None
+        if config.reduction is not None:
+            self._reducer = Reducer(
+                form,
+                config.reduction,
+                patience=config.patience,
+                packet_words=config.sums_words,
+            )
         super().__init__(
             {
                 "requests": In(request_stream()),
@@ -176,20 +204,57 @@ class Camera(wiring.Component):
         connect(m, flipped(self.requests), engine.requests)
         connect(m, engine.responses, flipped(self.responses))
         connect(m, self._guard.beats, self._formatter.beats)
-        connect(m, self._messenger.o, self._formatter.messages)
+        if self._reducer is None:
+            connect(m, self._messenger.o, self._formatter.messages)
+        else:
+            m.submodules.merge = merge = MessageMerge()
+            connect(m, self._messenger.o, merge.first)
+            connect(m, self._reducer.o, merge.second)
+            connect(m, merge.o, self._formatter.messages)
         connect(m, self._formatter.o, flipped(self.packets))
-        self._exposures(m)
-        synthetic = self._sensors(m)
+        readout = plain_readout(self._exposure, self._guard, self._formatter)
+        if self._reducer is not None:
+            readout = reduced_readout(m, readout, self._reducer)
+        self._exposures(m, readout)
+        synthetic = self._sensors(m, readout)
         capture = self._capture(m)
-        happened = self._note(m)
-        self._frames(m, synthetic, capture)
+        happened = self._note(m, readout)
+        self._frames(m, synthetic, capture, readout)
         self._filters(m)
-        self._count(m, happened)
-        self._messages(m, capture, happened)
-        self._status(m, happened)
+        self._count(m, happened, readout)
+        self._messages(m, capture, happened, readout)
+        self._status(m, happened, readout)
+        if self._reducer is not None:
+            self._reduce(m, self._reducer, capture)
         return m
 
-    def _exposures(self, m: Module) -> None:
+    def _reduce(self, m: Module, reducer: Reducer, capture: Signal) -> None:
+        """Add frames to sums, beside the formatter or instead of it."""
+        exposure, registers = self._exposure, self._registers
+        m.submodules.reducer = reducer
+        m.submodules.reducer_mask = mask = PixelMask(self.config.form)
+        connect_registers(m, registers, reducer)
+        m.d.comb += [
+            registers.locked.eq(exposure.running),
+            reducer.began.eq(exposure.began),
+            reducer.ended.eq(exposure.ended),
+            reducer.read.eq(exposure.read),
+            reducer.give_up.eq(exposure.give_up),
+            reducer.sensor.valid.eq(self._guard.sensor.valid),
+            reducer.sensor.payload.eq(self._guard.sensor.payload),
+            reducer.filters.eq(self._formatter.filters),
+            mask.write.eq(self._mask.write),
+            mask.write_address.eq(self._mask.write_address),
+            mask.write_word.eq(self._mask.write_word),
+            mask.address.eq(reducer.mask_address),
+            reducer.mask_data.eq(mask.word),
+            reducer.about.flags.eq(self._formatter.info.flags),
+            reducer.about.periods.eq(exposure.periods),
+            reducer.capture.eq(capture),
+            reducer.now.eq(exposure.now),
+        ]
+
+    def _exposures(self, m: Module, readout: Readout) -> None:
         registers, exposure, guard = self._registers, self._exposure, self._guard
         settings = exposure.settings
         m.d.comb += [
@@ -209,20 +274,20 @@ class Camera(wiring.Component):
             exposure.abort.eq(registers.run.abort),
             exposure.marker_pins.eq(self.marker),
             exposure.missed_pin.eq(self.missed),
-            exposure.read_done.eq(guard.over),
-            guard.read.eq(exposure.read),
+            exposure.read_done.eq(readout.over),
+            guard.read.eq(readout.read),
             guard.give_up.eq(exposure.give_up),
             self.trigger.eq(exposure.trigger),
             self.frame_sync.eq(exposure.frame_sync),
         ]
 
-    def _sensors(self, m: Module) -> Signal:
+    def _sensors(self, m: Module, readout: Readout) -> Signal:
         """Connect one of the two sensors; return whether it is the synthetic one."""
         registers, exposure, guard = self._registers, self._exposure, self._guard
         settings, inner, outer = self._synthetic.settings, self._synthetic.port, self.sensor
         chosen = Signal()
         # one sensor from the exposure to the end of its readout
-        with m.If(~exposure.exposing & ~exposure.read & ~guard.busy):
+        with m.If(~exposure.exposing & ~exposure.read & ~readout.busy):
             m.d.sync += chosen.eq(registers.synthetic.enable | (not self.config.sensor))
         # a clock later: far from all else, and clocks before the first readout
         m.d.sync += self._synthetic.began.eq(exposure.began)
@@ -248,7 +313,7 @@ class Camera(wiring.Component):
             m.d.sync += capture.eq(self._registers.capture.value)
         return capture
 
-    def _frames(self, m: Module, synthetic: Signal, capture: Signal) -> None:
+    def _frames(self, m: Module, synthetic: Signal, capture: Signal, readout: Readout) -> None:
         """Admission, and what a frame's header says."""
         exposure, guard, formatter = self._exposure, self._guard, self._formatter
         dropped = self._counters.counters.frames_dropped
@@ -256,7 +321,7 @@ class Camera(wiring.Component):
         missed = Signal()  # a trigger, since the frame before
         begun, just_missed = Signal(), Signal()  # a clock ago: `begins` has come a long way
         m.d.sync += [
-            begun.eq(formatter.begins | exposure.began),
+            begun.eq(readout.begins | exposure.began),
             just_missed.eq(exposure.missed),
         ]
         with m.If(exposure.missed):
@@ -302,29 +367,29 @@ class Camera(wiring.Component):
             self._formatter.mask_data.eq(mask.word),
         ]
 
-    def _note(self, m: Module) -> data.View:
+    def _note(self, m: Module, readout: Readout) -> data.View:
         """Return the events of the previous clock.
 
         Counters and reports all use these, one clock late and in step, so that wide counters are
         not on the timing paths of decisions about a frame.
         """
-        exposure, guard = self._exposure, self._guard
+        exposure = self._exposure
         happened = Signal(_HAPPENED_LAYOUT)
         m.d.sync += [
             happened.began.eq(exposure.began),
             happened.ended.eq(exposure.ended),
             happened.triggered.eq(exposure.triggered & exposure.running),
             happened.missed.eq(exposure.missed & exposure.running),
-            happened.dropped.eq(guard.dropped),
-            happened.aborted.eq(guard.aborted),
-            happened.fault.eq(guard.fault),
-            happened.over.eq(guard.over),
+            happened.dropped.eq(readout.dropped),
+            happened.aborted.eq(readout.aborted),
+            happened.fault.eq(readout.fault),
+            happened.over.eq(readout.over),
             happened.stalled.eq(self.packets.valid & ~self.packets.ready),
             happened.frame.eq(exposure.frame),
         ]
         return happened
 
-    def _count(self, m: Module, happened: data.View) -> None:
+    def _count(self, m: Module, happened: data.View, readout: Readout) -> None:
         formatter, counters = self._formatter, self._counters
         m.d.comb += [
             counters.began.eq(happened.began),
@@ -333,14 +398,14 @@ class Camera(wiring.Component):
             counters.triggers_lost.eq(happened.missed),
             counters.stall_clocks.eq(happened.stalled),
             counters.faults.eq(happened.fault),
-            counters.sent.eq(formatter.sent),
-            counters.hits.eq(formatter.hits),
+            counters.sent.eq(readout.sent),
+            counters.hits.eq(readout.hits),
             counters.triggered.eq(happened.triggered),
             counters.waiting.eq((self.config.buffer_words - formatter.room) << 3),
             counters.frame.eq(happened.frame),
         ]
 
-    def _messages(self, m: Module, capture: Signal, happened: data.View) -> None:
+    def _messages(self, m: Module, capture: Signal, happened: data.View, readout: Readout) -> None:
         registers, exposure = self._registers, self._exposure
         counters, messenger = self._counters, self._messenger
         # what ends a capture is said when its last frame has been sent
@@ -348,7 +413,10 @@ class Camera(wiring.Component):
         settled, ready = Signal(), Signal()
         ends = exposure.ended | happened.ended | ending
         m.d.sync += ready.eq(messenger.idle & ~ends)
-        m.d.comb += settled.eq(ending & ~self._formatter.in_frame & ~self._formatter.sending)
+        all_sent = ending & ~self._formatter.in_frame & ~self._formatter.sending
+        if readout.sums_wait is not None:
+            all_sent &= ~readout.sums_wait
+        m.d.comb += settled.eq(all_sent)
         with m.If(happened.ended):
             m.d.sync += ending.eq(1)
         with m.Elif(settled):
@@ -380,15 +448,18 @@ class Camera(wiring.Component):
             messenger.seed.eq(registers.test_seed.value),
         ]
 
-    def _status(self, m: Module, happened: data.View) -> None:
+    def _status(self, m: Module, happened: data.View, readout: Readout) -> None:
         registers, exposure = self._registers, self._exposure
         formatter, counters = self._formatter, self._counters
         counted = counters.counters
+        sending = formatter.sending | formatter.in_frame
+        if readout.sums_wait is not None:
+            sending |= readout.sums_wait
         m.d.comb += [
             registers.state.running.eq(exposure.running),
             registers.state.stopping.eq(exposure.stopping),
             registers.state.exposing.eq(exposure.exposing),
-            registers.state.sending.eq(formatter.sending | formatter.in_frame),
+            registers.state.sending.eq(sending),
             registers.state.stalled.eq(happened.stalled),
             registers.faults_set.dropped.eq(happened.dropped),
             registers.faults_set.aborted.eq(happened.aborted),

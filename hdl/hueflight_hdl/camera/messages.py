@@ -137,10 +137,10 @@ class Messenger(wiring.Component):
         with m.If(free):
             m.d.sync += [self.o.valid.eq(making), self.o.payload.eq(made)]
 
-        header = _words(PACKET_HEADER, self._header(kind, words))
-        event = _words(EVENT_BODY, self._event(chosen, counts, values))
-        status = _words(STATUS_BODY, self._status())
-        test = _words(TEST_BODY, {"pattern": pattern, "seed": next_word})
+        header = record_words(PACKET_HEADER, self._header(kind, words))
+        event = record_words(EVENT_BODY, self._event(chosen, counts, values))
+        status = record_words(STATUS_BODY, self._status())
+        test = record_words(TEST_BODY, {"pattern": pattern, "seed": next_word})
         with m.FSM():
             with m.State("IDLE"):
                 m.d.comb += self.idle.eq(
@@ -283,7 +283,7 @@ class Messenger(wiring.Component):
         return {name: self.counters[name] for name in names} | {"temperature_mdeg": unknown}
 
 
-def _words(layout: Layout, values: Mapping[str, Value]) -> Array:
+def record_words(layout: Layout, values: Mapping[str, Value]) -> Array:
     """Return a record as words of 64 bits; constants are those of the layout."""
     parts: list[Value] = []
     for field in layout.fields:

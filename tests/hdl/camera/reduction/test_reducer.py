@@ -214,10 +214,10 @@ def check(trial: Trial, *, left_out: tuple[int, ...] = ()) -> list:
 @pytest.mark.parametrize(
     ("seed", "lanes", "shape", "options"),
     [
-        (1, 1, (3, 4), {}),
+        pytest.param(1, 1, (3, 4), {}, marks=pytest.mark.slow),
         (2, 2, (4, 5), {"pause": 0.3, "stall": 0.5}),
-        (3, 4, (6, 6), {"stall": 0.9}),
-        (4, 8, (8, 7), {"pause": 0.5, "gap": 3}),
+        pytest.param(3, 4, (6, 6), {"stall": 0.9}, marks=pytest.mark.slow),
+        pytest.param(4, 8, (8, 7), {"pause": 0.5, "gap": 3}, marks=pytest.mark.slow),
     ],
 )
 def test_packets_are_those_of_the_definition(seed, lanes, shape, options):
@@ -226,11 +226,13 @@ def test_packets_are_those_of_the_definition(seed, lanes, shape, options):
     assert not any(picture.first.missed for picture in pictures)
 
 
+@pytest.mark.slow
 def test_masked_pixels_add_nothing_and_packets_say_so():
     trial = draw(5, lanes=4, rows=4, cols=8)
     check(replace(trial, mask=(trial.rng.random(32) < 0.4).astype(np.uint8)))
 
 
+@pytest.mark.slow
 def test_a_frame_that_ends_early_takes_its_picture_with_it():
     # frames of a picture wait for the third; the fifth ends early, the seventh never begins
     trial = replace(draw(6, lanes=4, rows=4, cols=6, frames=11, gap=700), cut={4: 3, 6: 0})
@@ -239,6 +241,7 @@ def test_a_frame_that_ends_early_takes_its_picture_with_it():
     assert [picture.first.missed for picture in pictures] == [0, 3, 0]
 
 
+@pytest.mark.slow
 def test_pictures_of_many_packets():
     trial = replace(draw(7, lanes=2, rows=10, cols=12, frames=4), packet_words=16)
     room = ReductionRoom(trial.sums, 1, max(trial.tables.widths), 4)

@@ -19,6 +19,7 @@ import numpy as np
 
 import hueflight_protocol as hp
 from hueflight_protocol import control, wire
+from hueflight_protocol.illuminator_map import MAX_FINE_STEPS
 from hueflight_protocol.layout import Layout
 from hueflight_protocol.registers import Field, Register, RegisterMap
 from vector_stream import random_codes
@@ -266,7 +267,7 @@ def registers_document() -> str:
     """Return docs/registers.md."""
     parts = [REGISTERS_HEAD]
     boards = (
-        hp.illuminator_map(external_clock=True),
+        hp.illuminator_map(external_clock=True, fine_steps=MAX_FINE_STEPS),
         hp.camera_map(reduction=hp.ReductionRoom()),
     )
     for registers in boards:

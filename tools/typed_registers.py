@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hueflight_protocol import ReductionRoom, camera_map, illuminator_map
+from hueflight_protocol.illuminator_map import MAX_FINE_STEPS
 from hueflight_protocol.registers import Field, Register, RegisterMap
 
 FOLDER = (
@@ -37,7 +38,7 @@ BUILDS = {
         ),
     ),
     "illuminator": (
-        illuminator_map(external_clock=True),
+        illuminator_map(external_clock=True, fine_steps=MAX_FINE_STEPS),
         illuminator_map(
             channels=32,
             pulses=1,
@@ -47,6 +48,8 @@ BUILDS = {
             clock_hz=1,
             external_clock=True,
             reference_hz=1,
+            fine_steps=2,
+            fine_step_fs=1,
         ),
     ),
 }

@@ -20,6 +20,10 @@ MIN_PERIOD_CLOCKS = 8
 """Trains are at least this many clocks apart, whatever starts them."""
 MAX_FILTER_TICKS = 8
 """Largest width of the filter of the trigger input."""
+MAX_FINE_STEPS = 128
+"""Settings of a fine delay line, 0 included."""
+FINE_STEP_FS = 25_000
+"""Nominal step of the fine delay lines of an ECP5, in femtoseconds."""
 _DELAY_BITS = 12
 
 
@@ -55,6 +59,8 @@ def illuminator_map(
     clock_hz: int = 200_000_000,
     external_clock: bool = False,
     reference_hz: int = 0,
+    fine_steps: int = 0,
+    fine_step_fs: int = FINE_STEP_FS,
 ) -> RegisterMap:
     """Return the illuminator's register map; addresses are the same for every build.
 
@@ -76,6 +82,11 @@ def illuminator_map(
         The build can run from an external clock; otherwise it has no registers for that.
     reference_hz : int
         Frequency of the external clock.
+    fine_steps : int
+        Settings of each channel's fine delay line, 2 to 128; 0 if the build has none, and no
+        registers for them.
+    fine_step_fs : int
+        Nominal step of the lines in femtoseconds.
 
     Returns
     -------
@@ -95,6 +106,8 @@ def illuminator_map(
     ):
         if not 1 <= number <= high:
             raise RegisterError(f"{name} = {number}: must be from 1 to {high}")
+    if fine_steps and not 2 <= fine_steps <= MAX_FINE_STEPS:
+        raise RegisterError(f"fine_steps = {fine_steps}: must be 0, or from 2 to {MAX_FINE_STEPS}")
     build = [
         Register(
             "capacity",
@@ -119,7 +132,7 @@ def illuminator_map(
     common = common_registers(
         BOARD,
         clock_hz=clock_hz,
-        features=(*_FEATURES, _EXTERNAL_CLOCK) if external_clock else _FEATURES,
+        features=_features(external_clock=external_clock, fine_delay=bool(fine_steps)),
         state=_STATE,
         faults=(*_FAULTS, _REFERENCE_LOST) if external_clock else _FAULTS,
     )
@@ -129,6 +142,7 @@ def illuminator_map(
             *common,
             *build,
             *(_clock(reference_hz) if external_clock else ()),
+            *(_fine(channels, fine_steps, fine_step_fs) if fine_steps else ()),
             *_safety(channels),
             *_trigger(lanes),
             *_sequencer(channels, steps),
@@ -142,6 +156,16 @@ _FEATURES = (
     Field("clock_supervision", 1, "failures of the clock are detected and counted"),
 )
 _EXTERNAL_CLOCK = Field("external_clock", 1, "the board can run from an external clock")
+_FINE_DELAY = Field("fine_delay", 1, "channels have fine delay lines")
+
+
+def _features(*, external_clock: bool, fine_delay: bool) -> Parts:
+    """Return the bits of features, which stand at the same places in every build."""
+    parts: Parts = (*_FEATURES, _EXTERNAL_CLOCK) if external_clock else _FEATURES
+    if fine_delay:
+        parts = (*parts, *(() if external_clock else (Reserved(1),)), _FINE_DELAY)
+    return parts
+
 
 _STATE = (
     Field("armed", 1, "LEDs may fire"),
@@ -192,6 +216,31 @@ def _clock(reference_hz: int) -> list[Register]:
             Access.CONST,
             value(32, "", reset=reference_hz, unit="Hz"),
             "frequency that the external clock must have, in builds with one",
+        ),
+    ]
+
+
+def _fine(channels: int, steps: int, step_fs: int) -> list[Register]:
+    return [
+        Register(
+            "fine_step",
+            0x015,
+            Access.CONST,
+            (
+                Field("steps", 8, "settings of a line, 0 included", reset=steps),
+                Field("step_fs", 24, "nominal step", reset=step_fs, unit="fs"),
+            ),
+            "fine delay lines, in builds with them",
+        ),
+        Register(
+            "fine_delay",
+            0x200,
+            Access.RW,
+            value(7, "", unit="step"),
+            "fine delay of a channel, in builds with delay lines: added to all its pulses. Writes "
+            "are refused while the board is armed; LEDs stay off until the lines have moved",
+            count=(channels,),
+            strides=(1,),
         ),
     ]
 

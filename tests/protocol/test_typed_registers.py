@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "protocol" / "hueflight_protocol" / "typed_registers"
 MAPS = (
     (camera, hp.camera_map(rows=5, cols=7, reduction=hp.ReductionRoom())),
-    (illuminator, hp.illuminator_map(channels=3, external_clock=True)),
+    (illuminator, hp.illuminator_map(channels=3, external_clock=True, fine_steps=128)),
 )
 
 

@@ -10,7 +10,7 @@ from hueflight_protocol import control
 from hueflight_protocol.illuminator_map import illuminator_map
 
 US = 1_000_000  # in picoseconds
-MAP = illuminator_map(external_clock=True)
+MAP = illuminator_map(external_clock=True, fine_steps=128)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from amaranth.hdl import Elaboratable, Module, Signal
 from amaranth.lib import io
 
 from ..common.version import source_hash
-from ..illuminator.gearing.ecp5 import Ecp5Gearing
+from ..illuminator.gearing.ecp5 import DelayLine, Ecp5Gearing
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import PulseConfig
 from .ecp5_clocks import CLOCK_RATIO, PULSE_HZ, Ecp5Clocks, check_clocks
@@ -81,8 +81,16 @@ class Ecp5Illuminator(Elaboratable):
         reference = self._reference(m, platform, clock.i) if self.config.reference_hz else None
         clocks = Ecp5Clocks(clock.i, clock_hz, pulse_hz=self.config.pulse_hz, reference=reference)
         clocks.add_to(m, platform)
-        gearing = Ecp5Gearing(clocks.io_reset)
+        channels = range(self.config.pulse.channels if self.config.fine_steps else 0)
+        lines = [DelayLine(Signal(), Signal()) for _ in channels]
+        delays = {f"channel{channel}": line for channel, line in enumerate(lines)}
+        gearing = Ecp5Gearing(clocks.io_reset, delays=delays)
         illuminator = add_from_platform(m, self.config, gearing, platform, clocks.failed)
+        for channel, line in enumerate(lines):
+            m.d.comb += [
+                line.load.eq(illuminator.fine_load),
+                line.move.eq(illuminator.fine_move[channel]),
+            ]
         if reference is not None:
             m.d.comb += [
                 reference.wanted.eq(illuminator.reference_wanted),
@@ -154,6 +162,7 @@ def illuminator_target(
         board=board,
         leds=leds,
         external_clock=edge is not None and ("reference", 0) in made.resources,
+        fine_delay=True,
     )
     if config.reference_hz:
         conversion(round(made.default_clk_frequency), config.reference_hz)

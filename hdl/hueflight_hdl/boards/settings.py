@@ -8,7 +8,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hueflight_protocol.illuminator_map import MAX_CHANNELS, MAX_PULSES, MAX_STEPS
+from hueflight_protocol.illuminator_map import (
+    MAX_CHANNELS,
+    MAX_FINE_STEPS,
+    MAX_PULSES,
+    MAX_STEPS,
+)
 from hueflight_protocol.wire import MAX_CODE_BITS, MAX_COLS, MAX_ROWS, MAX_RUN
 
 from ..camera.camera import CameraConfig
@@ -82,6 +87,7 @@ ILLUMINATOR = (
         0,
         MAX_REFERENCE_HZ,
     ),
+    Setting("fine_delay", "1 = a fine delay line for each LED, on ECP5 boards; 0 = none", 0, 1),
 )
 CAMERA = (
     Setting("rows", "rows of the sensor", 1, MAX_ROWS),
@@ -179,6 +185,8 @@ def set_illuminator(config: IlluminatorConfig, values: Mapping[str, int], /) -> 
     if limits:
         pulse = replace(pulse, limits=replace(_common_limits(config), **limits))
     rest = {name: values[name] for name in _OTHERS if name in values}
+    if "fine_delay" in values:
+        rest["fine_steps"] = MAX_FINE_STEPS if values["fine_delay"] else 0
     config = replace(config, pulse=replace(pulse, **sizes), **rest)
     bit_increment(config.sync_hz, config.baud)  # refuses a rate before anything is elaborated
     return config
@@ -192,6 +200,7 @@ def choose_illuminator(
     board: str,
     leds: int,
     external_clock: bool = False,
+    fine_delay: bool = False,
 ) -> IlluminatorConfig:
     """Return the configuration of a board with the settings that the user chose.
 
@@ -207,6 +216,8 @@ def choose_illuminator(
         Pins that the board has for LEDs.
     external_clock : bool
         The board can run from an external clock.
+    fine_delay : bool
+        The board can have fine delay lines.
 
     Returns
     -------
@@ -216,13 +227,17 @@ def choose_illuminator(
     Raises
     ------
     TargetError
-        If there are more channels than pins, or there is no external clock.
+        If there are more channels than pins, or there is no external clock or fine delay.
     """
     values = dict(options.settings)
     if values.get("reference_hz") and not external_clock:
         raise TargetError(
             f"reference_hz = {values['reference_hz']}: {board} cannot run from an external clock; "
             "ECP5 boards with a pin named reference, and an edge for its clock, can"
+        )
+    if values.get("fine_delay") and not fine_delay:
+        raise TargetError(
+            f"fine_delay = 1: {board} has no fine delay lines behind its outputs; ECP5 boards have"
         )
     if "channels" not in values and leds < config.pulse.channels:
         values["channels"] = leds
@@ -242,6 +257,7 @@ def illuminator_settings(config: IlluminatorConfig, /) -> dict[str, int]:
         "baud": round(config.baud),
         "serial": config.serial,
         "reference_hz": config.reference_hz,
+        "fine_delay": int(config.fine_steps > 0),
     }
 
 

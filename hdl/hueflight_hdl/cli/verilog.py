@@ -71,6 +71,8 @@ def verilog(
             raise TargetError(
                 f"reference_hz = {config.reference_hz}: in plain Verilog the clocks are yours"
             )
+        if config.fine_steps:
+            raise TargetError("fine_delay = 1: in plain Verilog the outputs' registers are yours")
         for path in write_core(config, folder or Path("build") / f"{design}-core"):
             print(path)
         return

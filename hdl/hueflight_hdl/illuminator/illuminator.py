@@ -22,13 +22,14 @@ from ..control.standard_block import add_control
 from ..link.serial import SerialLink
 from .arming import Arming
 from .clock_choice import REFERENCE_STATE, connect_clock_choice
+from .fine_delays import FineDelays
 from .pulse_generator.config import ConfigError, PulseConfig
 from .pulse_generator.generator import COUNTERS, LIVE_LAYOUT, STROBE_LAYOUT, PulseGenerator
 from .pulse_generator.schedule_store import ScheduleStore
 
 _STEP_REGISTERS = ("step_setup", "step_mask", "step_count", "step_idle")
-_LOCKS = 3
 _PROGRAM_LOCK = 2  # 0 and 1 are those of the banks
+_FINE_LOCK = 3
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,9 @@ class IlluminatorConfig:
         family needs.
     reference_hz : int
         Frequency of the external clock that the board can run from; 0 if it cannot.
+    fine_steps : int
+        Settings of the fine delay line that the board's gearing has for each channel; 0 if it has
+        none.
     """
 
     pulse: PulseConfig = field(default_factory=PulseConfig)
@@ -68,6 +72,7 @@ class IlluminatorConfig:
     clock_supervision: bool = True
     memory_style: str | None = None
     reference_hz: int = 0
+    fine_steps: int = 0
 
     def __post_init__(self) -> None:
         if self.clock_ratio < 1:
@@ -94,6 +99,7 @@ class IlluminatorConfig:
             clock_hz=round(self.pulse_hz),
             external_clock=bool(self.reference_hz),
             reference_hz=self.reference_hz,
+            fine_steps=self.fine_steps,
         )
 
 
@@ -101,6 +107,7 @@ def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
     """Return the signature members for triggers and LEDs."""
     lanes = config.pulse.lanes
     reference = {"reference_wanted": Out(1), "reference_state": In(REFERENCE_STATE)}
+    fine = {"fine_load": Out(1), "fine_move": Out(config.pulse.channels)}
     return {
         "trigger": In(lanes),
         "frame_sync": In(1),
@@ -111,6 +118,7 @@ def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
         "armed": Out(1),
         "clock_failed": In(1),
         **(reference if config.reference_hz else {}),
+        **(fine if config.fine_steps else {}),
     }
 
 
@@ -140,6 +148,8 @@ class IlluminatorCore(wiring.Component):
     reference_wanted : Out(1), reference_state : In
         Choice of the clock, where there is one: what the host wants, and what
         `boards.reference_clock` made of it, asynchronous.
+    fine_load : Out(1), fine_move : Out(channels)
+        Control of the fine delay lines, where there are any: see `FineDelays`.
     """
 
     def __init__(self, config: IlluminatorConfig) -> None:
@@ -159,7 +169,7 @@ class IlluminatorCore(wiring.Component):
             constants=self._constants(),
             unkept=(*_STEP_REGISTERS, "pulse"),
             lock_of=_lock_of,
-            locks=_LOCKS,
+            locks=4 if self.config.fine_steps else 3,
         )
         engine = add_control(m, registers, clock_ratio=self.config.clock_ratio)
         connect(m, flipped(self.requests), engine.requests)
@@ -204,6 +214,7 @@ class IlluminatorCore(wiring.Component):
             "features": registers["features"].encode(
                 clock_supervision=self.config.clock_supervision,
                 **({"external_clock": 1} if self.config.reference_hz else {}),
+                **({"fine_delay": 1} if self.config.fine_steps else {}),
             ),
             "source": self.config.source,
         }
@@ -211,7 +222,10 @@ class IlluminatorCore(wiring.Component):
     def _safety(
         self, m: Module, registers: RegisterFile, safety: Arming, generator: PulseGenerator
     ) -> None:
-        m.submodules.armed = FFSynchronizer(safety.armed, generator.armed, o_domain="pulse")
+        armed = safety.armed
+        if self.config.fine_steps:
+            armed = self._fine_delays(m, registers, armed)
+        m.submodules.armed = FFSynchronizer(armed, generator.armed, o_domain="pulse")
         m.d.comb += [
             safety.key.eq(registers.arm),
             safety.key_written.eq(registers.arm_written),
@@ -221,6 +235,32 @@ class IlluminatorCore(wiring.Component):
         ]
         if self.config.clock_supervision:
             self._supervise_clock(m, registers, safety)
+
+    def _fine_delays(self, m: Module, registers: RegisterFile, armed: Signal) -> Signal:
+        """Set the fine delay lines; return whether LEDs may fire: armed, and no line moves."""
+        first = registers.registers["fine_delay"].address
+        last = first + self.config.pulse.channels - 1
+        m.submodules.fine = fine = FineDelays(self.config.pulse.channels, self.config.fine_steps)
+        may_fire = Signal()
+        m.d.sync += may_fire.eq(armed & ~fine.moving)
+        m.d.comb += [
+            registers.locked[_FINE_LOCK].eq(armed),
+            fine.restart.eq(
+                self.clock_failed
+                | (
+                    registers.written
+                    & (registers.written_address >= first)
+                    & (registers.written_address <= last)
+                )
+            ),
+            *(
+                fine.targets[channel].eq(registers.fine_delay[channel].value)
+                for channel in range(self.config.pulse.channels)
+            ),
+            self.fine_load.eq(fine.load),
+            self.fine_move.eq(fine.move),
+        ]
+        return may_fire
 
     def _supervise_clock(self, m: Module, registers: RegisterFile, safety: Arming) -> None:
         """Disarm while the clock fails, and count the failures."""
@@ -389,4 +429,6 @@ def _lock_of(register: Register, indices: tuple[int, ...]) -> int | None:
         return indices[0]
     if register.name in _STEP_REGISTERS:
         return _PROGRAM_LOCK
+    if register.name == "fine_delay":
+        return _FINE_LOCK
     return None

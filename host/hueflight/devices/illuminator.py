@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hueflight.devices import clock_choice
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.clock_choice import ClockState
 from hueflight.devices.errors import DeviceTimeoutError
+from hueflight.devices.fine_delays import FineDelays
 from hueflight.devices.illuminator_state import (
     IlluminatorFaults,
     IlluminatorState,
@@ -37,7 +39,9 @@ from hueflight_protocol.illuminator_map import (
     ARM_KEY,
     BANKS,
     BOARD,
+    FINE_STEP_FS,
     MAX_FILTER_TICKS,
+    MAX_FINE_STEPS,
     Advance,
     Retrigger,
     TriggerSource,
@@ -64,7 +68,7 @@ class Illuminator:
     board : Board
         Its registers.
     capacity : Capacity
-        What the board was built for.
+        What the board was built for, and how its fine delays are set.
 
     Raises
     ------
@@ -77,10 +81,14 @@ class Illuminator:
         # reach only after many thousands
         self._numbers = cycle(range((MAX_TRANSACTION + 1) // 2, MAX_TRANSACTION + 1))
         # identity, capacity and features are the same in every build; the map needs them first
-        probe = Board(transport, illuminator_map(external_clock=True), timeout_s=timeout_s)
+        largest = illuminator_map(external_clock=True, fine_steps=MAX_FINE_STEPS)
+        probe = Board(transport, largest, timeout_s=timeout_s)
         self.identity: BoardIdentity = probe.identify(BOARD)
         size, tick = probe.read_together(registers.Capacity, registers.TickFs)
         reference_hz = clock_choice.read_reference_hz(probe)
+        fine = None
+        if probe.read(registers.Features).fine_delay:
+            fine = probe.read(registers.FineStep)
         self.board = Board(
             transport,
             illuminator_map(
@@ -92,6 +100,8 @@ class Illuminator:
                 clock_hz=self.identity.clock_hz,
                 external_clock=reference_hz is not None,
                 reference_hz=reference_hz or 0,
+                fine_steps=0 if fine is None else fine.steps,
+                fine_step_fs=FINE_STEP_FS if fine is None else fine.step_fs,
             ),
             timeout_s=timeout_s,
         )
@@ -100,8 +110,12 @@ class Illuminator:
             ChannelLimit(**self.board.read(registers.Limit, channel).as_dict())
             for channel in range(size.channels)
         )
+        delays = None
+        if fine is not None:
+            settings = self.board.read_elements(registers.FineDelay)
+            delays = FineDelays(fine.steps, fine.step_fs / 1e6, settings, (0.0,) * size.channels)
         self.capacity = Capacity(
-            size.channels, size.pulses, size.steps, size.lanes, tick.value * 1e-6, limits
+            size.channels, size.pulses, size.steps, size.lanes, tick.value * 1e-6, limits, delays
         )
 
     # -- arming -------------------------------------------------------------------------------
@@ -203,6 +217,66 @@ class Illuminator:
         made = self.load(schedule, bank=bank)
         self.select(bank)
         return made
+
+    def align(
+        self,
+        schedule: PulseSchedule,
+        /,
+        *,
+        skew_ns: Sequence[float] | None = None,
+        step_ns: float | None = None,
+    ) -> FineDelays:
+        """Set the fine delays of channels so that a schedule comes out as exactly as it can.
+
+        The schedule itself is left to `load` or `play`, which count with the fine delays and
+        return the errors that are left. Fine delays belong to channels, not to banks. They stay
+        until they are set again; the skew is kept by this object, not by the board.
+
+        Parameters
+        ----------
+        schedule : PulseSchedule
+            Pulses of every channel.
+        skew_ns : sequence of float, optional
+            How much later each channel fires than another one, in nanoseconds, as measured at
+            equal settings; by default as it was given before, 0 at first.
+        step_ns : float, optional
+            Step of the lines if it was measured, in nanoseconds; by default as it was given
+            before, at first the nominal one.
+
+        Returns
+        -------
+        FineDelays
+            The settings, and the time by which all channels fire later than asked.
+
+        Raises
+        ------
+        ScheduleError
+            If the board has no fine delay lines, or the schedule has too many channels.
+        FineDelayError
+            If skew or step are no times.
+        RequestError
+            If the board is armed.
+        """
+        lines = self.capacity.fine
+        if lines is None:
+            raise ScheduleError(
+                f"the board at {self.identity.place} was built without fine delay lines: build it "
+                "with --set fine_delay=1"
+            )
+        if skew_ns is not None:
+            lines = replace(lines, skew_ns=tuple(skew_ns))
+        if step_ns is not None:
+            lines = replace(lines, step_ns=step_ns)
+        delays = [[pulse.delay_ns for pulse in pulses] for pulses in schedule.channels]
+        lines = lines.fitted(delays, self.capacity.tick_ns)
+        capacity = replace(self.capacity, fine=lines)
+        to_ticks(schedule, capacity)  # refuses a schedule before anything is written
+        declared = self.board.registers[registers.FineDelay.NAME]
+        self._write_words(
+            {declared.address_of(channel): value for channel, value in enumerate(lines.settings)}
+        )
+        self.capacity = capacity
+        return lines
 
     # -- triggers -----------------------------------------------------------------------------
 

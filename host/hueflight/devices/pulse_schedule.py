@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from hueflight.devices.fine_delays import FineDelays, ticks_of
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 from hueflight.model.schedules import Schedule
@@ -132,6 +133,8 @@ class Capacity:
         Length of a tick, in nanoseconds.
     limits : tuple of ChannelLimit
         Limits of each channel.
+    fine : FineDelays or None
+        How its fine delay lines are set; None if it has none.
     """
 
     channels: int
@@ -140,6 +143,22 @@ class Capacity:
     lanes: int
     tick_ns: float
     limits: tuple[ChannelLimit, ...]
+    fine: FineDelays | None = None
+
+    def late_ns(self, channel: int, /) -> float:
+        """Return what a channel adds to its delay in ticks.
+
+        Parameters
+        ----------
+        channel : int
+            Number of the channel.
+
+        Returns
+        -------
+        float
+            Time in nanoseconds, 0 without fine delay lines.
+        """
+        return 0.0 if self.fine is None else self.fine.late_ns(channel)
 
     @property
     def min_period_ticks(self) -> int:
@@ -179,7 +198,10 @@ class TickSchedule:
     tick_ns : float
         Length of a tick, in nanoseconds.
     delay_error_ns, width_error_ns, period_error_ns : float
-        Largest rounding errors, in nanoseconds.
+        Largest rounding errors, in nanoseconds; that of the delays is what fine delays and known
+        skew leave.
+    late_ns : tuple of float
+        What each channel adds to its ticks, in nanoseconds; see `FineDelays.late_ns`.
     """
 
     channels: tuple[tuple[TickPulse, ...], ...]
@@ -189,12 +211,14 @@ class TickSchedule:
     delay_error_ns: float
     width_error_ns: float
     period_error_ns: float
+    late_ns: tuple[float, ...]
 
     @property
     def in_ns(self) -> Schedule:
         """Delays and period as the board plays them."""
         delays = tuple(
-            tuple(pulse.delay * self.tick_ns for pulse in pulses) for pulses in self.channels
+            tuple(max(0.0, pulse.delay * self.tick_ns + late) for pulse in pulses)
+            for pulses, late in zip(self.channels, self.late_ns, strict=True)
         )
         return Schedule(delays, self.period * self.tick_ns)
 
@@ -238,10 +262,14 @@ def to_ticks(schedule: PulseSchedule, capacity: Capacity, /) -> TickSchedule:
                 f"channel {number}: {len(pulses)} pulses, the board has {capacity.pulses} a channel"
             )
         made = []
+        late = capacity.late_ns(number)
         for pulse in pulses:
-            made.append(_pulse(pulse, number, schedule.period_ns, period, tick))
+            made.append(_pulse(pulse, number, schedule.period_ns, period, tick, late))
             errors.append(
-                (made[-1].delay * tick - pulse.delay_ns, made[-1].width * tick - pulse.width_ns)
+                (
+                    made[-1].delay * tick + late - pulse.delay_ns,
+                    made[-1].width * tick - pulse.width_ns,
+                )
             )
         _check_limits(number, made, period, capacity)
         channels.append(tuple(made))
@@ -256,6 +284,7 @@ def to_ticks(schedule: PulseSchedule, capacity: Capacity, /) -> TickSchedule:
         delay_error_ns=max((abs(delay) for delay, _ in errors), default=0.0),
         width_error_ns=max((abs(width) for _, width in errors), default=0.0),
         period_error_ns=abs(period * tick - schedule.period_ns),
+        late_ns=tuple(capacity.late_ns(number) for number in range(len(channels))),
     )
 
 
@@ -266,9 +295,10 @@ def _ticks(value_ns: float, tick_ns: float, name: str) -> int:
 
 
 def _pulse(
-    pulse: ChannelPulse, channel: int, period_ns: float, period: int, tick: float
+    pulse: ChannelPulse, channel: int, period_ns: float, period: int, tick: float, late_ns: float
 ) -> TickPulse:
-    delay = _ticks(pulse.delay_ns, tick, f"channel {channel}: delay_ns")
+    _ticks(pulse.delay_ns, tick, f"channel {channel}: delay_ns")  # refuses what is no time
+    delay = ticks_of(pulse.delay_ns, late_ns, tick)
     width = _ticks(pulse.width_ns, tick, f"channel {channel}: width_ns")
     if delay >= period:
         raise ScheduleError(

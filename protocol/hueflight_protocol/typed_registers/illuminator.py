@@ -35,6 +35,8 @@ __all__ = [
     "DutyLimited",
     "Faults",
     "Features",
+    "FineDelay",
+    "FineStep",
     "Limit",
     "Map",
     "OnLimited",
@@ -87,6 +89,8 @@ class Features(RegisterValue):
         Failures of the clock are detected and counted.
     external_clock : int
         The board can run from an external clock.
+    fine_delay : int
+        Channels have fine delay lines.
     """
 
     NAME: ClassVar[str] = "features"
@@ -94,10 +98,12 @@ class Features(RegisterValue):
     TEMPERATURE_MAX: ClassVar[int] = 1
     CLOCK_SUPERVISION_MAX: ClassVar[int] = 1
     EXTERNAL_CLOCK_MAX: ClassVar[int] = 1
+    FINE_DELAY_MAX: ClassVar[int] = 1
 
     temperature: int = 0
     clock_supervision: int = 0
     external_clock: int = 0
+    fine_delay: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -289,6 +295,27 @@ class ReferenceHz(RegisterValue):
     VALUE_MAX: ClassVar[int] = 4294967295
 
     value: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FineStep(RegisterValue):
+    """Fine delay lines, in builds with them.
+
+    Attributes
+    ----------
+    steps : int
+        Settings of a line, 0 included.
+    step_fs : int
+        Nominal step, in fs.
+    """
+
+    NAME: ClassVar[str] = "fine_step"
+    ADDRESS: ClassVar[int] = 0x0015
+    STEPS_MAX: ClassVar[int] = 255
+    STEP_FS_MAX: ClassVar[int] = 16777215
+
+    steps: int
+    step_fs: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -895,3 +922,23 @@ class Pulse(RegisterValue):
 
     delay: int = 0
     width: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FineDelay(RegisterValue):
+    """Fine delay of a channel, in builds with delay lines.
+
+    Added to all its pulses. Writes are refused while the board is armed; LEDs stay off until the
+    lines have moved.
+
+    Attributes
+    ----------
+    value : int
+        Value, in step.
+    """
+
+    NAME: ClassVar[str] = "fine_delay"
+    ADDRESS: ClassVar[int] = 0x0200
+    VALUE_MAX: ClassVar[int] = 127
+
+    value: int

@@ -31,6 +31,7 @@ CHOSEN = {
         "baud": 115200,
         "serial": 0xBEEF,
         "reference_hz": 10_000_000,
+        "fine_delay": 1,
     },
     "camera": {
         "rows": 64,
@@ -57,7 +58,7 @@ def test_every_setting_can_be_chosen(design):
     assert find_target(design, "ecpix5-85f", options).settings == chosen
     if design == "illuminator":
         config = choose_illuminator(
-            ecp5_config(), options, board="ulx3s-85f", leds=9, external_clock=True
+            ecp5_config(), options, board="ulx3s-85f", leds=9, external_clock=True, fine_delay=True
         )
         registers = config.registers()
         capacity = {name: place.field.reset for name, place in registers["capacity"].fields.items()}
@@ -65,6 +66,7 @@ def test_every_setting_can_be_chosen(design):
         assert config.pulse.limit(3).max_on_ticks == 40
         assert (config.baud, config.serial) == (115200, 0xBEEF)
         assert config.reference_hz == 10_000_000
+        assert registers["fine_step"].decode(registers["fine_step"].reset)["steps"] == 128
     else:
         config = camera_config(options)
         assert (config.form.rows, config.form.cols, config.form.lanes) == (64, 32, 4)

@@ -14,7 +14,7 @@ from hueflight_hdl.boards.ecp5_pll import pll_place
 from hueflight_hdl.boards.ecp5_reference import Ecp5Reference, clock_output
 from hueflight_hdl.boards.pins import drive_pin, read_pin
 from hueflight_hdl.boards.target import Target
-from hueflight_hdl.illuminator.gearing.ecp5 import Ecp5Gearing
+from hueflight_hdl.illuminator.gearing.ecp5 import DelayLine, Ecp5Gearing
 
 
 class SmallPlatform(LatticeICE40Platform):
@@ -67,6 +67,14 @@ class TwoEdgesPlatform(LatticeECP5Platform):
     )
 
 
+class FinePlatform(TwoEdgesPlatform):
+    resources = (
+        TwoEdgesPlatform.resources[0],
+        Resource("lamp", 0, Pins("K1", dir="o"), Attrs(IO_TYPE="LVCMOS33")),
+        Resource("left", 0, Pins("C1", dir="o"), Attrs(IO_TYPE="LVCMOS33")),
+    )
+
+
 class TwoEdges(Elaboratable):
     """Geared outputs on both edges of the device."""
 
@@ -102,6 +110,23 @@ class TwoClocks(Elaboratable):
         drive_pin(m, platform, "right", out)
         drive_pin(m, platform, "lamp", lamp)
         Ecp5Gearing().add_output(m, "left", platform.request("left", 0, dir="-"), count)
+        return m
+
+
+class FineOutputs(Elaboratable):
+    """A geared output with a fine delay line that moves, and one whose line stays at 0."""
+
+    def elaborate(self, platform):
+        m = Module()
+        clocks = Ecp5Clocks(read_pin(m, platform, "clock"), 25e6, pulse_hz=100e6)
+        clocks.add_to(m, platform)
+        count, moves = Signal(4), Signal(4)
+        m.d.pulse += count.eq(count + 1)
+        m.d.sync += moves.eq(moves + 1)
+        gearing = Ecp5Gearing(clocks.io_reset, delays={"left": DelayLine(moves[3], moves[1])})
+        for name in ("left", "lamp"):
+            port = platform.request(name, 0, dir="-")
+            gearing.add_output(m, name, port, count, enable=~clocks.failed)
         return m
 
 
@@ -158,3 +183,11 @@ def two_edges() -> Target:
 def two_clocks() -> Target:
     """A target that chooses between two clocks."""
     return Target("illuminator", "small", TwoEdgesPlatform, TwoClocks, {"pulse": 200.0}, "ecp5")
+
+
+@pytest.fixture
+def fine_outputs() -> Target:
+    """Target with fine delay lines on its outputs."""
+    return Target(
+        "illuminator", "small", FinePlatform, FineOutputs, {"pulse": 100, "sync": 25}, "ecp5"
+    )

@@ -108,6 +108,15 @@ def test_an_external_clock_is_placed_and_routed(builder, two_clocks, tmp_path):
     assert placed["IOLOGIC"]["used"] + placed["SIOLOGIC"]["used"] == 2  # LED and clock output
 
 
+@pytest.mark.slow
+def test_fine_delay_lines_are_in_the_output_blocks(builder, fine_outputs, tmp_path):
+    """Each is between its output register and its pin; nextpnr routes what moves one of them."""
+    report = build(fine_outputs, tmp_path)
+    assert report.reached, report.to_json()
+    (routed,) = tmp_path.glob("top.config")
+    assert routed.read_text().count(".DELAY.OUTDEL ENABLED") == 2
+
+
 def test_ise_boards_are_not_built_here(small, tmp_path):
     target = small(12)
     ise = type(target)(**{**vars(target), "family": "xc3s"})

@@ -29,8 +29,12 @@ class SoftwareIlluminator:
         for channel in range(size.get("channels", 9)):
             self.registers.set("limit", channel, on_ticks=80, burst_ticks=80, duty_divisor=8)
         self.registers.set("serial", value=0xBEEF)
-        if size.get("external_clock"):
-            self.registers.set("features", external_clock=1)
+        for feature, size_of in (
+            ("external_clock", "external_clock"),
+            ("fine_delay", "fine_steps"),
+        ):
+            if size.get(size_of):
+                self.registers.set("features", **{feature: 1})
         self.dies_on_change = False
 
     def state(self, field: str) -> int:
@@ -40,7 +44,7 @@ class SoftwareIlluminator:
         used = register.name in ("pulse", "bank_period", "bank_enable") and (
             indices[0] == self.registers.get("bank_select")
         )
-        return used and bool(self.state("armed"))
+        return (used or register.name == "fine_delay") and bool(self.state("armed"))
 
     def _wrote(self, register: Register, indices: tuple[int, ...], word: int) -> None:
         file = self.registers

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Behavioural models of the ECP5 primitives that the boards use, for simulation of a whole
 // generated top. Function and clock relations follow Lattice FPGA-TN-02200 (sysCLOCK PLL/DLL) and
-// FPGA-TN-02035 (high-speed I/O interface, GDDRX2); there are no delays.
+// FPGA-TN-02035 (high-speed I/O interface, GDDRX2). The only delays are those of DELAYF.
 
 // State of the PLL as the testbench wants it: 0 works, 1 loses lock and goes on oscillating, 2
 // loses lock and stops.
@@ -137,6 +137,26 @@ endmodule
 module DELAYG #(parameter DEL_MODE = "USER_DEFINED", parameter integer DEL_VALUE = 0)
     (input A, output Z);
     assign Z = A;
+endmodule
+
+// A delay line of 128 settings with the nominal step and without a delay of its own: loaded with
+// DEL_VALUE while LOADN is low, moved by the end of a pulse of MOVE, longer while DIRECTION is low.
+module DELAYF #(parameter DEL_MODE = "USER_DEFINED", parameter integer DEL_VALUE = 0)
+    (input A, LOADN, MOVE, DIRECTION, output reg Z, output CFLAG);
+    localparam integer STEP_PS = 25;
+    integer setting;
+    initial begin
+        // what it is before the first load is not stated: not 0, so that a missing load is seen
+        setting = 64;
+        Z = 0;
+    end
+    always @(posedge LOADN) setting = DEL_VALUE;
+    always @(negedge MOVE)
+        if (DIRECTION && setting > 0) setting = setting - 1;
+        else if (!DIRECTION && setting < 127) setting = setting + 1;
+    assign CFLAG = DIRECTION ? setting == 0 : setting == 127;
+    always @(A) Z <= #((LOADN ? setting : DEL_VALUE) * STEP_PS) A;
+    initial if (DEL_MODE != "USER_DEFINED") $fatal(1, "DELAYF: only USER_DEFINED is modelled");
 endmodule
 
 // A clock of the same frequency with D0 = 1 and D1 = 0.

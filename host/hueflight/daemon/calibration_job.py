@@ -115,6 +115,7 @@ class CalibrationJob:
         self._folder = folder
         self._use = use
         self._busy = threading.Lock()
+        self._ending = threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._closing = False
         self.state = CalibrationState()
@@ -208,7 +209,9 @@ class CalibrationJob:
         CaptureError
             If a calibration is in progress.
         """
-        if not self._busy.acquire(blocking=False):
+        with self._ending:
+            free = self._busy.acquire(blocking=False)
+        if not free:
             raise CaptureError("a calibration is in progress: wait until it is done, or cancel it")
         try:
             self._check_free()
@@ -292,31 +295,36 @@ class CalibrationJob:
             process.terminate()
 
     def _work(self, kinds: list[CaptureKind], distance: float, frames: int) -> None:
+        end = self._outcome(kinds, distance, frames)
+        with self._ending:  # whoever sees the end may begin the next
+            self._busy.release()
+            self.state = end
+
+    def _outcome(self, kinds: list[CaptureKind], distance: float, frames: int) -> CalibrationState:
+        """Make the calibration; how it ended."""
         try:
             path, lost = self._make(kinds, distance, frames)
             self._use(Calibration.load(path))
             message = f"calibrated at {distance} m"
             if lost:
                 message += f"; {lost} of {self._frames_wanted} frames were lost"
-            self.state = CalibrationState("done", message, str(path))
             log.info("calibration done", path=str(path), frames_lost=lost)
+            return CalibrationState("done", message, str(path))
         except CancelledError:
             kept = "the earlier one stays in use" if self.state.path else "there is none in use"
-            self.state = replace(self.state, step="cancelled", message=f"cancelled: {kept}")
             log.info("calibration cancelled")
+            return replace(self.state, step="cancelled", message=f"cancelled: {kept}")
         except HueflightError as error:
             log.error("calibration failed", reason=str(error))
-            self.state = replace(self.state, step="failed", message=str(error))
+            return replace(self.state, step="failed", message=str(error))
         except (OSError, subprocess.SubprocessError) as error:
-            self.state = replace(
+            return replace(
                 self.state, step="failed", message=f"the evaluation could not run: {error}"
             )
         except BaseException as error:
             message = f"{type(error).__name__}: {error}"
             log.error("calibration failed", reason=message, exc_info=error)
-            self.state = replace(self.state, step="failed", message=message)
-        finally:
-            self._busy.release()
+            return replace(self.state, step="failed", message=message)
 
     def _make(self, kinds: list[CaptureKind], distance: float, frames: int) -> tuple[Path, int]:
         """Take the captures and compute the calibration; its path, and the frames lost."""

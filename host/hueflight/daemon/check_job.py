@@ -109,6 +109,7 @@ class CheckJob:
         self._acquisition, self._folder = acquisition, folder
         self._calibration, self._use, self._check_free = calibration, use, check_free
         self._busy = threading.Lock()
+        self._ending = threading.Lock()
         self.state = CheckState()
 
     def begin(self, *, kind: CheckKind, frames: int, distance: float | None) -> None:
@@ -131,7 +132,9 @@ class CheckJob:
         calibration = self._calibration()
         if calibration is None:
             raise CaptureError("there is no calibration to check: calibrate first")
-        if not self._busy.acquire(blocking=False):
+        with self._ending:
+            free = self._busy.acquire(blocking=False)
+        if not free:
             raise CaptureError("a check is in progress: wait until it is done")
         try:
             self._check_free()
@@ -189,6 +192,15 @@ class CheckJob:
     def _work(
         self, calibration: Calibration, kind: CheckKind, frames: int, distance: float | None
     ) -> None:
+        end = self._outcome(calibration, kind, frames, distance)
+        with self._ending:  # whoever sees the end may begin the next
+            self._busy.release()
+            self.state = end
+
+    def _outcome(
+        self, calibration: Calibration, kind: CheckKind, frames: int, distance: float | None
+    ) -> CheckState:
+        """Take the capture and compare; how it ended."""
         try:
             result = self._acquisition.run(RunPlan(kind=kind, frames=frames, keep=True)).result()
             if result.failure:
@@ -196,19 +208,18 @@ class CheckJob:
             self.state = CheckState("working", "comparing with the calibration", kind)
             (counts,) = result.histograms.values()
             if kind == "reference":
-                self.state = of_reference(calibration, counts, result.totals.delivered, distance)
+                found = of_reference(calibration, counts, result.totals.delivered, distance)
             else:
-                self.state = of_scene(calibration, counts, result.totals.delivered)
-            log.info("calibration checked", kind=kind, findings=list(self.state.findings))
+                found = of_scene(calibration, counts, result.totals.delivered)
+            log.info("calibration checked", kind=kind, findings=list(found.findings))
+            return found
         except HueflightError as error:
-            self.state = CheckState("failed", str(error), kind)
             log.warning("check of the calibration failed", reason=str(error))
+            return CheckState("failed", str(error), kind)
         except BaseException as error:
             message = f"{type(error).__name__}: {error}"
-            self.state = CheckState("failed", message, kind)
             log.error("check of the calibration failed", reason=message, exc_info=error)
-        finally:
-            self._busy.release()
+            return CheckState("failed", message, kind)
 
 
 def of_reference(

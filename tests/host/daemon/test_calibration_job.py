@@ -7,7 +7,7 @@ import time
 from concurrent.futures import Future
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -16,6 +16,7 @@ from hueflight.acquisition.frame_accounting import RunTotals
 from hueflight.acquisition.plan import RunPlan, RunResult
 from hueflight.acquisition.snapshot import Snapshot
 from hueflight.daemon.calibration_job import CalibrationJob
+from support.slow_lock import SlowLock
 
 WAIT_S = 20.0
 
@@ -51,3 +52,15 @@ def test_a_capture_may_lack_few_frames(
         assert time.monotonic() < deadline
         time.sleep(0.01)
     assert (f"has {1000 - missing} of 1000 frames" in job.state.message) == refused
+
+
+def test_whoever_sees_the_end_may_begin_again(instrument: hf.Instrument, tmp_path: Path) -> None:
+    acquisition: Any = ShortRuns(instrument, 11)
+    job = CalibrationJob(acquisition, tmp_path, use=lambda _: None)
+    job._busy = cast(Any, SlowLock())
+    for _ in range(2):
+        job.begin(distance=0.4, frames=1000, bands=False, dark=False)
+        deadline = time.monotonic() + WAIT_S
+        while job.state.step != "failed":
+            assert time.monotonic() < deadline
+            time.sleep(0.001)

@@ -19,6 +19,7 @@ from hueflight import simulator
 from hueflight.acquisition.frame_accounting import RunTotals
 from hueflight.acquisition.plan import CaptureError, RunPlan, RunResult
 from hueflight.daemon.check_job import CheckJob
+from support.slow_lock import SlowLock
 
 DRIFT_PS = (-180.0, 160.0, 140.0, -120.0, 190.0, -120.0, 40.0, -180.0, 70.0)  # their mean is 0
 QUIET = simulator.SimulationSettings.ideal(white_detections=0.05, ambient=0.01)
@@ -166,3 +167,14 @@ def test_only_one_check_at_a_time(instrument, job_with) -> None:
     with pytest.raises(CaptureError, match="in progress"):
         job.begin(kind="reference", frames=1, distance=None)
     runs.held.set()
+
+
+def test_whoever_sees_the_end_may_begin_again(job_with) -> None:
+    job, _ = job_with(Runs(np.zeros(0), failure="unplugged"))
+    job._busy = SlowLock()
+    for _ in range(2):
+        job.begin(kind="scene", frames=FRAMES, distance=None)
+        deadline = time.monotonic() + WAIT_S
+        while job.state.step != "failed":
+            assert time.monotonic() < deadline
+            time.sleep(0.001)

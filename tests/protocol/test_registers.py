@@ -129,6 +129,8 @@ def registers_of(*parts: hp.Field, **options) -> hp.Register:
             lambda: hp.RegisterMap("b", [registers_of(count=(2,), strides=(1 << 16,))]),
             "r needs address 0x10000",
         ),
+        (lambda: hp.illuminator_map(fine_steps=1), "fine_steps = 1: must be 0, or from 2 to 128"),
+        (lambda: hp.illuminator_map(fine_steps=129), "fine_steps = 129: must be 0, or from 2"),
     ],
 )
 def test_what_is_refused(make, message: str):

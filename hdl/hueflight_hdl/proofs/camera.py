@@ -13,7 +13,7 @@ from .camera_formatter import (
     TrailerHarness,
     WalkHarness,
 )
-from .camera_reduction import BanksHarness, SumHarness
+from .camera_reduction import BanksHarness, SumHarness, WriterHarness
 from .proof import Proof
 
 PROOFS = (
@@ -95,6 +95,14 @@ PROOFS = (
         "beats, settings and reader.",
         BanksHarness,
         depth=30,
+        induction=False,
+    ),
+    Proof(
+        "camera-sum-packets",
+        "No word of a packet of sums is lost, with any sums and any stalls of the link, checked "
+        "over several packets of the smallest writer.",
+        WriterHarness,
+        depth=90,
         induction=False,
     ),
 )

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 import pytest
-from amaranth.hdl import Module, Signal
+from amaranth.hdl import Const, Module, Signal
 
 from hueflight_hdl.camera import counters
 from hueflight_hdl.camera.exposure.frame_guard import FrameGuard
@@ -13,8 +13,9 @@ from hueflight_hdl.camera.formatter.admission import FrameAdmission
 from hueflight_hdl.camera.formatter.formatter import FrameFormatter
 from hueflight_hdl.camera.formatter.trailer import TrailerWriter
 from hueflight_hdl.camera.reduction import core as reduction
+from hueflight_hdl.camera.reduction.picture_writer import PictureWriter
 from hueflight_hdl.common.counter import SaturatingCounter
-from hueflight_hdl.proofs import camera_capture, camera_formatter
+from hueflight_hdl.proofs import camera_capture, camera_formatter, camera_reduction
 from hueflight_hdl.proofs.camera import PROOFS
 from hueflight_hdl.proofs.camera_capture import AbortHarness, VerdictHarness
 from hueflight_hdl.proofs.camera_counters import CountersHarness
@@ -159,3 +160,14 @@ def test_a_sum_that_wraps_is_found(prover, monkeypatch):
     proof = next(proof for proof in PROOFS if proof.name == "camera-sums")
     with pytest.raises(ProofError, match="A sum is exact"):
         prove(proof)
+
+
+@pytest.mark.slow
+def test_a_packet_that_does_not_wait_for_room_is_found(prover, monkeypatch):
+    class Hasty(PictureWriter):
+        def _buffer(self, m, packer, made, making):
+            _, empty = super()._buffer(m, packer, made, making)
+            return Const(1), empty
+
+    monkeypatch.setattr(camera_reduction, "PictureWriter", Hasty)
+    broken(camera_reduction.WriterHarness, depth=70)

@@ -158,7 +158,7 @@ class PictureWriter(wiring.Component):
     o : Out(stream)
         See `MESSAGE_LAYOUT`.
     overflow : Out(1)
-        A word is lost; formally verified never to happen.
+        A word is lost; see the proof ``camera-sum-packets``.
     """
 
     def __init__(self, form: FrameFormat, room: ReductionRoom, *, packet_words: int) -> None:

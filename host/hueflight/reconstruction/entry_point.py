@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from hueflight.arguments import (
     COUNTS,
@@ -205,7 +205,8 @@ def reconstruct(
     )
     check_options(method, estimator, options)
     if options.background == "sloped":
-        options = replace(options, background=_background_of(prepared, calibration, options))
+        shape = _background_of(prepared, calibration, options, wanted)
+        options = replace(options, background=shape)
     estimates = estimator.estimate(prepared, calibration, options)
     estimates.quality[prepared.full] |= int(Quality.SATURATED)
     leave_out(estimates, ~wanted)
@@ -222,12 +223,12 @@ def reconstruct(
 
 
 def _background_of(
-    prepared: PreparedHistogram, calibration: Calibration, options: EstimatorOptions
+    prepared: PreparedHistogram,
+    calibration: Calibration,
+    options: EstimatorOptions,
+    wanted: NDArray[np.bool_],
 ) -> BackgroundShape:
     """Shape of the background, from some of the pixels that are asked for."""
-    wanted = options.region
-    if wanted is None:
-        wanted = np.ones(prepared.photons.shape, bool)
     numbers = np.flatnonzero(wanted & calibration.usable)
     some = np.zeros(wanted.shape, bool)
     some.flat[numbers[:: max(1, numbers.size // MOST_PIXELS)]] = True

@@ -8,19 +8,23 @@ that nothing but the departure under test is off.
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
+import xarray as xr
 
 import hueflight as hf
 from hueflight import simulator
 from hueflight.calibration.drift import with_drift
 from hueflight.errors import CalibrationError, HistogramError, HueflightError
 from hueflight.model import BackgroundShape
-from hueflight.reconstruction import ImageCheck, with_floor
+from hueflight.reconstruction import ImageCheck, departures, with_floor
 
+Small = Callable[..., hf.Instrument]
+Draw = Callable[..., np.ndarray]
 ROWS, COLS = 24, 32
 DRIFT_PS = (-180.0, 160.0, 140.0, -120.0, 190.0, -120.0, 40.0, -180.0, 70.0)  # their mean is 0
 QUIET = simulator.SimulationSettings.ideal(white_detections=0.05, ambient=0.01)
@@ -110,6 +114,12 @@ def test_tail_is_found_and_widens_the_deviations(
     assert (error < 1.96 * widened["depth_std"].values).mean() >= 0.9
     assert (widened["reflectance_std"] >= image["reflectance_std"]).all()
     assert widened["depth_std"].attrs["systematic"].startswith("predicted bias by tail")
+    scores = {"tail": 0.0, "flare": 9.0}  # as if the light had been a flare
+    suspects = [replace(one, score=scores.get(one.name, one.score)) for one in check.suspects]
+    flare = with_floor(image, histogram, calibration, replace(check, suspects=tuple(suspects)))
+    assert flare["depth_std"].attrs["systematic"] == "predicted bias by flare"
+    assert (flare["depth_std"] >= image["depth_std"]).all()
+    assert not flare["depth_std"].equals(widened["depth_std"])
 
 
 def test_image_without_tails_keeps_its_deviations(
@@ -183,6 +193,50 @@ def test_too_few_pixels_are_refused(instrument: hf.Instrument, calibration: hf.C
     image = hf.reconstruct(histogram, calibration, region=np.s_[:2, :3])
     with pytest.raises(HistogramError, match="only 6 pixels"):
         hf.check_image(histogram, calibration, image)
+
+
+def test_one_band_in_bins_too_wide_to_tell_their_widths(small: Small, draw: Draw) -> None:
+    """Delays of bands against one another, and widths of bins, are not looked for."""
+    one = small(rows=16, cols=16, code_bits=8, bin_width_ns=1.926)
+    one = one.replace(bands=one.bands[4:5])
+    calibration = hf.calibrate(draw(one, photons=20_000), one, distance=0.5)
+    histogram = draw(one, depth=0.9, photons=3000, background=50, seed=1)
+    image = hf.reconstruct(histogram, calibration)
+    check = hf.check_image(histogram, calibration, image, pileup_correction=False)
+    assert check.holds, str(check)
+    names = ["width", "background slope", "tail", "background decay", "flare"]
+    assert [suspect.name for suspect in check.suspects] == names
+
+
+def test_counts_that_are_smoothed_are_refused(small: Small, draw: Draw) -> None:
+    coarse = small(rows=12, cols=12, code_bits=7, bin_width_ns=2.568)
+    histogram = draw(coarse, photons=20_000)
+    calibration = hf.calibrate(histogram, coarse, distance=0.5)
+    with pytest.raises(HueflightError, match="the bins are too wide for the pulses"):
+        checked(histogram, calibration)
+
+
+def test_departures_that_never_settle_are_given_up(
+    calibration: hf.Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each check finds another slope and one more picosecond, however often it is corrected."""
+    slopes = (0.1 * number for number in range(1, 9))
+    checks = {
+        "sample_pixels": lambda *_, background, **_options: background,
+        "check_pixels": lambda shape, _calibration: ImageCheck((), 100, 1e5, shape),
+        "background_found": lambda _check: BackgroundShape(slope=next(slopes)),
+        "drift_of": lambda _suspects, bands: (np.ones(bands), np.ones(bands)),
+    }
+    for name, stub in checks.items():
+        monkeypatch.setattr(departures, name, stub)
+    histogram = np.ones(calibration.instrument.histogram_shape, np.uint32)
+    nothing = np.zeros((ROWS, COLS))
+    image = xr.Dataset(dict.fromkeys(("depth", "quality"), (("row", "col"), nothing)))
+    shape = BackgroundShape()
+    correction = hf.correct_drift(histogram, calibration, image, background=shape)
+    assert correction.background.slope == pytest.approx(0.1 * departures.BACKGROUND_PASSES)
+    drift = correction.calibration.provenance["drift"]
+    np.testing.assert_allclose(drift["delay_ps"], float(departures.DRIFT_PASSES))
 
 
 def test_methods_that_can_not_take_a_slope_refuse_it(

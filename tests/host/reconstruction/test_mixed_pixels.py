@@ -313,6 +313,23 @@ def test_a_part_of_the_picture_and_methods_that_find_none(with_lens, calibrated)
         hf.reconstruct(counts, calibration, mixed=True)
 
 
+def test_a_wall_without_an_edge_has_no_mixed_pixel(with_lens):
+    nowhere = np.zeros((ROWS, COLS))
+    image = lens_image(with_lens, nowhere, 0.2, (1.0, 1.0), 8, second_returns=False)
+    assert not is_mixed(image).any()
+    for name in ("second_depth", "near_share", "near_reflectance", "second_reflectance"):
+        assert np.isnan(image[name]).all()
+        assert np.isnan(image[f"{name}_std"]).all()
+
+
+def test_an_image_is_flagged_by_the_angle_of_its_lens(with_lens):
+    options = {"range_correction": False, "mixed": False, "second_returns": False}
+    image = lens_image(with_lens, disc_share(5), 0.8, (1.0, 1.0), 5, **options)
+    flagged = hf.flag_mixed(image, with_lens[1])
+    assert is_mixed(flagged).any()
+    assert flagged["reflectance"].equals(image["reflectance"])  # there is no range to correct for
+
+
 def test_the_window_of_a_pixel_at_the_border_is_moved_inwards():
     values = np.arange(42.0).reshape(6, 7, 1)
     about = neighbors(values, np.array([0, 3, 5]), np.array([6, 3, 0]))[..., 0]

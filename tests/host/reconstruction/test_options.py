@@ -13,6 +13,7 @@ from hueflight.fit import kernel_arguments, packing
 from hueflight.fit import solver as kernels
 from hueflight.fit.reference import FitOptions
 from hueflight.model.pileup import coates_correction
+from hueflight.reconstruction import joint
 from hueflight.reconstruction.joint import tables_for_calibration
 from hueflight.reconstruction.options import NO_SKIPS, Skips
 from hueflight.reconstruction.quality import Quality
@@ -76,6 +77,17 @@ def test_calibrations_of_versions_that_stated_less(setting, second_returns):
         assert np.isfinite(found[name]).all()
         assert (found[name] <= image[name]).all()
         assert (found[name] < image[name]).mean() > 0.5
+
+
+def test_smoothed_counts_need_not_be_assessed(small, draw, monkeypatch):
+    """Pulses of fewer than four bins; depth is the same with and without."""
+    coarse = small(rows=6, cols=6, code_bits=7, bin_width_ns=2.568)
+    calibration = hf.calibrate(draw(coarse, photons=20_000), coarse, distance=0.5)
+    counts = draw(coarse, depth=0.9, photons=800, seed=1)
+    image = hf.reconstruct(counts, calibration)
+    assert np.isfinite(image["fit_chi_square"]).all()
+    monkeypatch.delattr(joint, "assess_smoothed")
+    same(image, hf.reconstruct(counts, calibration, skips=Skips(assessment=False)), names=["depth"])
 
 
 def test_dead_and_hot_pixels(setting):

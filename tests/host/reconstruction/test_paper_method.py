@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
+
 import numpy as np
 import pytest
 
 import hueflight as hf
+from hueflight.reconstruction.paper import _background
 from hueflight.reconstruction.quality import Quality
 
 
@@ -65,6 +68,23 @@ def test_a_pixel_without_photons_has_no_depth_and_says_why(instrument, calibrati
     assert np.isnan(image.reflectance[3, 4]).all()
     assert int(image.quality[3, 4]) & Quality.LOW_SIGNAL
     assert np.isfinite(image.depth).sum() == 24 * 24 - 1
+
+
+def test_photons_in_broken_pixels_alone_give_no_depth(instrument, calibration, draw):
+    seen = draw(instrument, photons=500)
+    broken = np.zeros((24, 24), bool)
+    broken[3, 4] = True
+    seen[~broken, 1:] = 0
+    image = hf.reconstruct(seen, dataclasses.replace(calibration, dead=broken), method="paper")
+    assert np.isnan(image.depth).all()
+    assert (image.quality.values[~broken] & Quality.LOW_SIGNAL).all()
+
+
+def test_background_is_unknown_where_windows_take_all_bins(instrument, calibration):
+    widest = dataclasses.replace(calibration.windows[0], start=0, stop=calibration.bins.count)
+    filled = dataclasses.replace(calibration, windows=(widest, *calibration.windows[1:]))
+    assert np.isnan(_background(np.ones((3, calibration.bins.count)), filled)).all()
+    assert _background(np.ones((3, calibration.bins.count)), calibration) == pytest.approx(1)
 
 
 def test_hot_and_dead_pixels_are_flagged(instrument, draw):

@@ -97,12 +97,12 @@ def grown(
     pools = first_pools(windows, pilot, box(information[None], 2, threads)[0], usable, threads)
     active = np.ones(pilot.shape, bool)
     for radius in RADII:
+        if not active.any():
+            break
         like = likeness(pools, windows, usable, tables)
         found = pool(data, len(windows), usable, active, like, radius, LIMITS, threads=threads)
         last = radius == RADII[-1]
         pools, active = _closed(pools, active, found, tables, search_ns, enough, last=last)
-        if not active.any():
-            break
     lacking = usable & (pools.windows.sum(axis=0) * pools.pixels < enough)
     if lacking.any():
         pools = _looked_again(seen, pools, windows, usable, lacking, tables, search_ns, threads)

@@ -255,14 +255,10 @@ def _sharpened(
     planes = np.concatenate(
         [np.moveaxis(sight.likelihood, -1, 0), windows.sum(axis=0, keepdims=True)]
     )
-    for radius in SIGHT_RADII:
-        last = radius == SIGHT_RADII[-1]
+    *earlier, widest = SIGHT_RADII
+    for radius in earlier:
         like = likeness(pools, windows, usable, tables)
-        data, spectral = (planes, 0) if last else (windows, len(windows))
-        found = pool(data, spectral, usable, active, like, radius, LIMITS, threads=threads)
-        if last:
-            sharp = sight.delays(np.moveaxis(found.sums[:-1], 0, -1))
-            return np.where(found.sums[-1] >= SIGHT_PHOTONS, sharp, pilot)
+        found = pool(windows, len(windows), usable, active, like, radius, LIMITS, threads=threads)
         pools = replace(
             pools,
             windows=np.where(active, found.sums / np.maximum(found.weight, TINY), pools.windows),
@@ -270,7 +266,10 @@ def _sharpened(
                 active, found.weight**2 / np.maximum(found.squares, TINY), pools.pixels
             ),
         )
-    return pilot
+    like = likeness(pools, windows, usable, tables)
+    found = pool(planes, 0, usable, active, like, widest, LIMITS, threads=threads)
+    sharp = sight.delays(np.moveaxis(found.sums[:-1], 0, -1))
+    return np.where(found.sums[-1] >= SIGHT_PHOTONS, sharp, pilot)
 
 
 def _median_of_nine(values: Floats) -> Floats:

@@ -18,6 +18,8 @@ from hueflight.reconstruction.inputs import prepare_histogram
 from hueflight.reconstruction.options import EstimatorOptions
 from hueflight.reconstruction.pooled import estimate as few_photons
 from hueflight.reconstruction.pooled.kernels import (
+    MOST_GROUPS,
+    MOST_PLANES,
     Likeness,
     Limits,
     list_photons,
@@ -336,6 +338,20 @@ def test_pooling_in_c_is_pooling_in_numpy(monkeypatch, shape):
     for name in ("sums", "weight", "squares", "depth_squares"):
         fast, slow = (getattr(result, name) for result in results)
         np.testing.assert_allclose(fast, slow, rtol=1e-4, atol=1e-5)
+
+
+def test_more_planes_than_the_compiled_loops_have_room_for(monkeypatch):
+    shape = (3, 4)
+    flat = np.ones(shape, np.float32)
+    like = Likeness(np.ones((MOST_GROUPS + 1, *shape), np.float32), flat, flat, flat)
+    everywhere = np.ones(shape, bool)
+    limits = Limits(color=4.0, depth_color=6.0, depth=2.0)
+    data = np.ones((MOST_PLANES + 1, *shape), np.float32)
+    many = pool(data, 0, everywhere, everywhere, like, 1.5, limits)
+    few = dataclasses.replace(like, means=like.means[:1])
+    np.testing.assert_allclose(
+        many.sums[:1], pool(data[:1], 0, everywhere, everywhere, few, 1.5, limits).sums, rtol=1e-5
+    )
 
 
 @pytest.mark.parametrize("implementation", ["numpy", pytest.param("c", marks=native)])

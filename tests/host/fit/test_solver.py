@@ -5,11 +5,13 @@ import msgspec
 import numpy as np
 import pytest
 
+import hueflight as hf
 from hueflight.backend.fit import MOST_BANDS
 from hueflight.errors import HueflightError
+from hueflight.fit import change_detection
 from hueflight.fit import reference as definition
 from hueflight.fit.reference import FitOptions
-from hueflight.fit.solver import compiled_kernel, fit_pixels
+from hueflight.fit.solver import change_reference, compiled_kernel, fit_pixels
 from hueflight.reconstruction.joint import tables_for_calibration
 
 compiled = pytest.mark.usefixtures("compiled_fit")
@@ -17,8 +19,6 @@ compiled = pytest.mark.usefixtures("compiled_fit")
 
 @pytest.fixture(scope="module")
 def plans(small, draw):
-    import hueflight as hf
-
     def with_tails(tail_ns: float):
         instrument = small(rows=12, cols=12)
         bands = tuple(msgspec.structs.replace(b, pulse_tail_ns=tail_ns) for b in instrument.bands)
@@ -102,6 +102,33 @@ def test_counts_that_lie_apart(plans, draw, dtype, step):
 
 
 @compiled
+@pytest.mark.parametrize("dtype", [np.uint16, np.uint32, np.float32])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_lost_photons_and_changes_of_every_type(plans, draw, dtype, reverse):
+    """Among them a pixel without counts, and one in which hardly an exposure is empty."""
+    instrument, plan = plans[0.0]
+    counts = draw(instrument, depth=0.9, photons=300)
+    light = instrument.time_bins().in_time_order(counts).reshape(144, -1)
+    light[0] = 0
+    rates, offsets = np.linspace(0.1, 2.0, 144), np.zeros(144)
+    rates[1] = 100.0
+    same = np.ascontiguousarray(light, dtype)
+    if reverse:
+        same = np.ascontiguousarray(same[:, ::-1])[:, ::-1]
+    expected = fit_pixels(np.ascontiguousarray(light), offsets, plan, per_period=rates)
+    found = fit_pixels(same, offsets, plan, per_period=rates)
+    np.testing.assert_array_equal(found.delay_ns, expected.delay_ns)
+    np.testing.assert_array_equal(found.amplitudes, expected.amplitudes)
+    pixels = np.arange(1, 144)
+    fitted = fit_pixels(light, offsets[1:], plan, pixels=pixels)
+    references = [
+        change_reference(given, pixels, fitted, offsets[1:], plan) for given in (light, same)
+    ]
+    for name in ("weights", "sums"):
+        np.testing.assert_array_equal(*(getattr(one, name) for one in references))
+
+
+@compiled
 def test_threads_and_order_of_pixels_change_nothing(plans, draw):
     instrument, plan = plans[6.0]
     counts = draw(instrument, depth=0.9, photons=100, background=50)
@@ -142,6 +169,25 @@ def test_without_the_compiled_fit(plans, draw, monkeypatch):
     np.testing.assert_array_equal(
         found.delay_ns, definition.fit(light, np.zeros(144), plan).delay_ns
     )
+    arguments = found, np.zeros(144), plan
+    reference = change_reference(light, np.arange(144), *arguments)
+    expected = change_detection.change_reference(light, *arguments)
+    np.testing.assert_array_equal(reference.sums, expected.sums)
+
+
+@compiled
+@pytest.mark.parametrize("bands", [1, 2])
+def test_few_bands_have_fewer_contrasts(small, draw, monkeypatch, bands):
+    instrument = small(rows=4, cols=4)
+    instrument = instrument.replace(bands=instrument.bands[:bands])
+    calibration = hf.calibrate(draw(instrument, photons=20_000), instrument, distance=0.5)
+    plan = tables_for_calibration(calibration, (-15.0, 15.0))
+    assert len(plan.contrasts) == bands - 1
+    counts = draw(instrument, depth=0.9, photons=2000, background=100)
+    light = instrument.time_bins().in_time_order(counts).reshape(16, -1)
+    slow, fast = both(light, plan, monkeypatch)
+    for name in ("delay_ns", "chi_square", "misfit"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=2e-3)
 
 
 def test_a_backend_that_does_not_exist(plans, monkeypatch):

@@ -6,6 +6,7 @@ import pytest
 
 from hueflight.fit import packing
 from hueflight.fit.tables import CROP, ScheduleView, make_tables
+from hueflight.fit.tiles import lit_stretches
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.waveforms import Templates
 
@@ -97,6 +98,14 @@ def test_equal_bins_share_values():
     assert made.fine.tiles.row.size > 20 * rows
     lone = tables(CASES["bins of measured widths"])
     assert lone.fine.tiles.row.size == lone.fine.tiles.shares.shape[0]
+
+
+def test_light_that_is_never_out():
+    """A pulse as long as its period, beside a short one."""
+    short, long = np.exp(-((np.arange(64) - 30.0) ** 2) / 8), np.full(64, 1.0)
+    dark, bright = lit_stretches(Templates.normalized(np.array([short, long]), 32.0))
+    np.testing.assert_array_equal(bright, [[0.0, 32.0]])
+    assert (np.diff(dark) < 16).all()
 
 
 def test_short_ranges_step_by_a_fiftieth_of_the_pulse():

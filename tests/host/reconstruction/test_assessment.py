@@ -13,6 +13,7 @@ import hueflight as hf
 from hueflight.export import write
 from hueflight.fit import assessment, kernel_arguments
 from hueflight.fit.reference import FitOptions
+from hueflight.fit.smoothed_assessment import smoothed_score
 from hueflight.fit.solver import fit_pixels
 from hueflight.reconstruction.joint import search_range_ns, tables_for_calibration
 from hueflight.reconstruction.options import Skips
@@ -274,6 +275,14 @@ def test_p_value() -> None:
     )
     assert np.isnan(assessment.p_value(np.array([np.nan]))).all()
     assert 0 < assessment.p_value(np.array([12.0]))[0] < 1e-30
+
+
+def test_large_common_misfits_differ_from_pixel_to_pixel() -> None:
+    """A pixel then needs more than others, relative to what all have in common, to stand out."""
+    misfit, freedom = np.array([1.0, 2.0, 4.0]), np.full(3, 60.0)
+    little, much = (smoothed_score(c * misfit, freedom, c) for c in (1.5, 2.5))
+    assert (np.diff(little) > 0).all()
+    assert little[2] > 2 * much[2] > 0
 
 
 def test_contrasts() -> None:

@@ -164,6 +164,17 @@ def test_the_estimate_is_that_of_least_squares_under_the_covariance_of_the_sums(
         assert found.distance[n] == pytest.approx(left @ weight @ left, rel=1e-3)
 
 
+def test_without_the_compiled_estimator(calibration, design, monkeypatch):
+    tables = sum_tables(calibration, design, np.zeros((1, 1), np.intp))
+    sums, number = np.full((3, design.tables.sums), 50.0), np.zeros(3, np.intp)
+    monkeypatch.setenv("HUEFLIGHT_KERNELS", "numpy")
+    found, expected = (
+        estimate(sums, number, tables) for estimate in (estimate_pixels, estimate_reference)
+    )
+    np.testing.assert_array_equal(found.delay_ns, expected.delay_ns)
+    np.testing.assert_array_equal(found.amplitudes, expected.amplitudes)
+
+
 def test_one_band_has_few_sums(small, draw):
     single = small("paper", rows=12, cols=12).replace(lens=None)
     single = single.replace(bands=single.bands[4:5])

@@ -209,3 +209,16 @@ def test_counts_and_pixels_are_checked(calls: Any, name: str) -> None:
         refused(calls, name, 0, wrong, ValueError, "counts must be")
     for pixel in (-1, len(counts)):
         refused(calls, name, 1, np.array([pixel], np.int64), IndexError, "no such pixel")
+
+
+@pytest.mark.parametrize("name", [name for name in FUNCTIONS if "starts" in READS[name].split()])
+def test_photons_of_no_pixel_are_refused(calls: Any, name: str) -> None:
+    """Neither the first place of a pixel nor the end of the last one is there."""
+    nothing = np.empty(0, np.int64)
+    refused(calls, name, place_of(name, "starts"), nothing, ValueError, "do not fit one another")
+
+
+def test_counts_of_another_type_are_not_listed(calls: Any) -> None:
+    at = place_of("pooled.list", "counts")
+    counts = np.asarray(calls["pooled.list"]()[1][at]).astype(np.float64)
+    refused(calls, "pooled.list", at, counts, ValueError, "do not fit one another")

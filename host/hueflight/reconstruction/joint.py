@@ -140,7 +140,8 @@ def search_range_ns(
     Raises
     ------
     HueflightError
-        If the range is invalid, or wider than the depth after which the period repeats.
+        If the range is invalid, wider than the depth after which the period repeats, or nowhere
+        that a single shot records.
     """
     if depth_range is None:
         limit_ns = min(calibration.instrument.half_spacing_ns(), 0.75 * calibration.bins.span_ns)
@@ -162,6 +163,16 @@ def search_range_ns(
             f"depth_range = {depth_range!r} spans more than the {reach:.1f} m after which the "
             f"period of {period_ns} ns repeats: narrow it, and give it in meters"
         )
+    if period_ns is None:  # beyond, the pulses of a single shot lie outside its bins
+        span_ns = calibration.bins.span_ns
+        if low >= span_ns or high <= -span_ns:
+            reach = span_ns * SPEED_OF_LIGHT_M_PER_NS / 2
+            raise HueflightError(
+                f"depth_range = {depth_range!r}: light from there arrives outside the {span_ns:g} "
+                f"ns that are recorded; depths lie within {reach:.1f} m of the reference, which "
+                f"was at {calibration.distance:g} m: give the range in meters"
+            )
+        low, high = max(low, -span_ns), min(high, span_ns)
     return low, high
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -82,3 +83,21 @@ def test_calibration_with_a_dark_band(calibration, draw, instrument, method, fie
 def test_depth_range_in_millimeters(calibration, draw, instrument):
     with pytest.raises(hf.HueflightError, match="narrow it, and give it in meters"):
         hf.reconstruct(draw(instrument), calibration, depth_range=(200, 150_000))
+
+
+def test_depth_range_of_a_single_shot_ends_with_its_bins():
+    """Delays beyond the recorded time once met the pulse again, at a depth that looked right."""
+    sensor = hf.Instrument.load(Path(__file__).parent.parent / "data" / "tmf8820.toml")
+    places = np.arange(sensor.time_bins().count)
+
+    def zones(middle: float) -> np.ndarray:
+        pulse = 1e4 * np.exp(-((places - middle) ** 2) / 8) + 10
+        return np.tile(np.rint(pulse).astype(np.uint32), (*sensor.image_shape, 1))
+
+    made = hf.calibrate(zones(20), sensor, distance=0.0)
+    plain = hf.reconstruct(zones(30), made).depth.values
+    np.testing.assert_allclose(
+        hf.reconstruct(zones(30), made, depth_range=(-1000, 1000)).depth.values, plain, atol=1e-4
+    )
+    with pytest.raises(hf.HueflightError, match=r"outside the .* ns that are recorded"):
+        hf.reconstruct(zones(30), made, depth_range=(50, 51))

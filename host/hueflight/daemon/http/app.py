@@ -30,6 +30,7 @@ from hueflight.daemon.http.openapi import describe
 from hueflight.daemon.http.operation import Named, Operation
 from hueflight.daemon.http.operations import OPERATIONS
 from hueflight.daemon.http.page_routes import page_routes
+from hueflight.daemon.http.picture_encoding import PictureEncoding
 from hueflight.daemon.http.picture_message import encode_picture
 from hueflight.daemon.http.roles import SESSION_PATH
 from hueflight.daemon.materials import MaterialError
@@ -91,16 +92,21 @@ def make_app(
         loop = asyncio.get_running_loop()
 
         def on_picture(picture: Picture) -> None:
-            hub: Hub | None = state.get("hub")
-            if hub is None or not service.viewers:
+            if "hub" not in state or not service.viewers:
                 return  # nobody is watching: spare the work
             if "foxglove" in state:
                 state["foxglove"].offer(picture)
+            encoding.offer(picture)
+
+        def encode(picture: Picture) -> None:
+            hub: Hub = state["hub"]
             messages: dict[Coding, bytes] = {
                 coding: encode_picture(picture, service.live_color, coding=coding)
                 for coding in hub.codings
             }
             loop.call_soon_threadsafe(hub.publish, picture, messages)
+
+        encoding = PictureEncoding(encode)
 
         service = await run_in_threadpool(
             lambda: Service(config, connect, instrument, on_picture=on_picture)
@@ -121,6 +127,7 @@ def make_app(
         if "foxglove" in state:
             await state["foxglove"].close()
         await run_in_threadpool(service.close)
+        await run_in_threadpool(encoding.close)
         log.info("ended", **service.status()["totals"])
 
     async def live(socket: Any) -> None:

@@ -5,6 +5,7 @@ import ast
 import doctest
 import importlib
 import inspect
+import os
 import pkgutil
 import re
 import subprocess
@@ -28,6 +29,8 @@ def test_pages_build_from_scratch_without_a_warning(tmp_path: Path) -> None:
         text=True,
         check=False,
         timeout=800,
+        # a tutorial runs pytest, which would first delete what earlier test runs have left
+        env=os.environ | {"PYTEST_DEBUG_TEMPROOT": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-4000:]
     for page in ("first-picture", "tutorials/other-language", "api/export", "physics"):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 import socket
 import ssl
@@ -149,9 +148,9 @@ def test_a_request_that_comes_with_the_end_of_the_handshake_is_answered(
 def open_sockets() -> int:
     """Of this process, whose server goes on closing them while they are counted."""
     count = 0
-    for number in os.listdir("/proc/self/fd"):
+    for link in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):
-            count += os.readlink(f"/proc/self/fd/{number}").startswith("socket:")
+            count += str(link.readlink()).startswith("socket:")
     return count
 
 

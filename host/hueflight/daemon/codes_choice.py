@@ -198,7 +198,7 @@ class CodesChoice:
     def look(self) -> None:
         """Look whether anything has changed, and have the camera send what is right."""
         snapshot = self._acquisition.snapshot
-        if self.wanted == "codes" or not snapshot.connections:
+        if not snapshot.connections:
             return
         self._measure(snapshot, time.monotonic())
         calibration, frames = self._calibration(), self._settings().block_frames
@@ -210,7 +210,7 @@ class CodesChoice:
             codes_bytes_per_s=needed,
             present=self.choice.sent,
         )
-        self._limit_codes(snapshot.link, needed)
+        self._limit_hz = self._codes_limit_hz(snapshot.link)
         if choice.sent == "codes":
             self._send_codes()
         elif calibration is not None and not self._send_sums(snapshot, calibration, frames):
@@ -243,14 +243,16 @@ class CodesChoice:
         sensor = self._acquisition.instrument.sensor
         return codes_bytes(sensor, self._occupancy) * self._settings().rate_hz
 
-    def _limit_codes(self, link: str, needed: float | None) -> None:
-        """Find at which rate the link carries codes in any light, if not at the present one."""
+    def _codes_limit_hz(self, link: str) -> float | None:
+        """Frames per second of which the link carries codes in any light; None if it does anyway.
+
+        For captures, whose targets may be brighter than what is seen before them.
+        """
         carried = LINKS.get(link)
-        if carried is None or needed is None:
-            return
-        share = 1.0 if self._limit_hz is None else BACK_SHARE
-        sensor = self._acquisition.instrument.sensor
-        self._limit_hz = carried / codes_bytes(sensor, 1.0) if needed > share * carried else None
+        full = codes_bytes(self._acquisition.instrument.sensor, 1.0)
+        if carried is None or full * self._settings().rate_hz <= carried:
+            return None
+        return carried / full
 
     def _obstacle(self, snapshot: Snapshot, calibration: Calibration | None, frames: int) -> str:
         """Why the camera can't send sums; empty if it can."""

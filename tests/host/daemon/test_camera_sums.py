@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from threading import RLock
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ import hueflight as hf
 from hueflight.acquisition.snapshot import LiveSums
 from hueflight.acquisition.sums_reduction import reduction_of
 from hueflight.daemon.calibration_job import CALIBRATION_NAME
-from hueflight.daemon.codes_choice import Choice, choose, codes_bytes
+from hueflight.daemon.codes_choice import Choice, CodesChoice, Wanted, choose, codes_bytes
 from hueflight.daemon.sums_window import SumsWindow
 from hueflight.devices.camera_controls import CameraControls
 from hueflight.devices.reduction import Reduction
@@ -243,3 +245,36 @@ def test_runs_that_need_histograms_take_what_the_link_carries(paper: hf.Instrume
     both = replace(fast, reduction=replace(reduction, with_codes=True))
     assert both.with_histograms(paper) == replace(both, rate_hz=1900.0)
     assert replace(both, codes_rate_hz=None).with_histograms(paper).rate_hz == 18_600.0
+
+
+@pytest.mark.parametrize("wanted", ["auto", "codes"])
+@pytest.mark.parametrize(
+    ("link", "rate_hz", "limited"),
+    [
+        ("USB 2", 18_600.0, True),
+        ("USB 2", 480.0, False),
+        ("FT601", 18_600.0, True),
+        ("", 18_600.0, False),
+    ],
+)
+def test_captures_are_slowed_down_before_any_light_was_measured(
+    paper: hf.Instrument, wanted: Wanted, link: str, rate_hz: float, limited: bool
+) -> None:
+    """The target of a capture may be brighter than what was seen before it, if anything was."""
+    acquisition: Any = SimpleNamespace(
+        instrument=paper,
+        controls=CameraControls(),
+        snapshot=SimpleNamespace(
+            connections=1, kind="live", link=link, rate_hz=0.0, reduction_room=None, photons=0,
+            totals=SimpleNamespace(delivered=0),
+        ),
+    )  # fmt: skip
+    acquisition.set_controls = lambda controls, settings: setattr(acquisition, "controls", controls)
+    settings: Any = SimpleNamespace(rate_hz=rate_hz, block_frames=620)
+    choice = CodesChoice(
+        acquisition, wanted, calibration=lambda: None, settings=lambda: settings, lock=RLock()
+    )
+    choice.close()
+    choice.look()
+    most = LINKS[link] / codes_bytes(paper.sensor, 1.0) if limited else None
+    assert acquisition.controls.codes_rate_hz == most

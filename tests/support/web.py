@@ -12,7 +12,7 @@ from typing import Any
 from hueflight.daemon.config import ServerConfig
 from hueflight.daemon.http import server
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from hueflight.daemon import recordings_folder as files
 from hueflight.recording import open_recording, writer
 from support.faulty_rig import FaultyRig
 
-WAIT_S = 30
+WAIT_S = 60.0
 # by a day, to before the epoch of most clocks, by an hour, by 30 years
 JUMPS_S = (86_400.0, -1.5e9, -3_600.0, 9.5e8)
 

@@ -27,7 +27,7 @@ from hueflight.recording.segment import Segment
 from hueflight_protocol.typed_registers import camera as registers
 from support.faulty_rig import FaultyRig
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 LIVE = RunPlan(live=True)
 Begin = Callable[..., Acquisition]
 

@@ -12,7 +12,7 @@ from hueflight.acquisition.runner import WORK, Acquisition
 from hueflight.acquisition.states import TRANSITIONS, State, TransitionError, follow
 from support.faulty_rig import FaultyRig
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def test_every_state_has_its_work_and_its_transitions() -> None:

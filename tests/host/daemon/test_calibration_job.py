@@ -18,7 +18,7 @@ from hueflight.acquisition.snapshot import Snapshot
 from hueflight.daemon.calibration_job import CalibrationJob
 from support.slow_lock import SlowLock
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 class ShortRuns:

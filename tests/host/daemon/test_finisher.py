@@ -20,7 +20,7 @@ from hueflight.recording import RecordingWriter, open_recording
 from hueflight.recording.layout import part_path
 from hueflight_protocol import encode_frame
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

@@ -23,7 +23,7 @@ from hueflight.daemon.picture_settings import PictureSettings, PictureSettingsEr
 from hueflight.daemon.pictures import Pictures
 from hueflight.model.schedules import Schedule
 
-WAIT_S = 20
+WAIT_S = 60.0
 
 
 class Source:

@@ -17,7 +17,7 @@ from hueflight.daemon.simulated_part import SimulatedPart
 from hueflight.devices.simulation import Changes, Repetition
 from hueflight.errors import HueflightError
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 class Simulation:

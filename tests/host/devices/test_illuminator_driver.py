@@ -29,7 +29,7 @@ from hueflight_protocol.typed_registers import illuminator as registers
 from support.faulty_rig import FaultyRig
 from support.pty_illuminator import PtyIlluminator
 
-WAIT_S = 30
+WAIT_S = 60.0
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ from hueflight_protocol.typed_registers import illuminator as registers
 
 from .conftest import PtyBoard
 
-WAIT_S = 30.0  # of a busy computer; nothing here waits so long unless it is broken
+WAIT_S = 60.0
 
 
 @pytest.fixture

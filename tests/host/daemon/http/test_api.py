@@ -27,7 +27,7 @@ from hueflight.simulator import simulate_capture, simulate_packets
 OpenDaemon = Callable[..., Any]
 BASE = "http://127.0.0.1:8470"
 LIVE = "ws://127.0.0.1:8470/api/live"
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 @contextmanager

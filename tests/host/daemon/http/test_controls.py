@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 from hueflight.recording import open_recording
 from hueflight_protocol import FrameFlags, decode_frame
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

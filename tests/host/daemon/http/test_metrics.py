@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from hueflight.acquisition.delay_histogram import BOUNDS_S, DelayHistogram
 
 FOLDER = Path(__file__).resolve().parents[4] / "host/prometheus"
-WAIT_S = 20.0
+WAIT_S = 60.0
 SELECTOR = re.compile(r"(hueflight_\w+)(?:\{([^}]*)\})?")
 
 

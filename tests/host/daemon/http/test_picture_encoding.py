@@ -12,7 +12,7 @@ import pytest
 
 from hueflight.daemon.http.picture_encoding import PictureEncoding
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def picture(number: int) -> Any:

@@ -103,8 +103,7 @@ endmodule
 // A word is taken with SCLK, moved to the edge clock, and sent D0 first at both of its edges.
 module ODDRX2F (input D0, D1, D2, D3, ECLK, SCLK, RST, output Q);
     reg [3:0] word = 0, moved = 0;
-    reg [1:0] now = 0;
-    reg phase = 0;
+    reg phase = 0, second = 0, rise = 0, fall = 0;
     always @(posedge SCLK or posedge RST)
         if (RST) word <= 0;
         else word <= {D3, D2, D1, D0};
@@ -112,13 +111,19 @@ module ODDRX2F (input D0, D1, D2, D3, ECLK, SCLK, RST, output Q);
         if (RST) begin
             phase <= 0;
             moved <= 0;
-            now <= 0;
+            second <= 0;
+            rise <= 0;
         end else begin
             phase <= ~phase;
             if (phase) moved <= word;
-            now <= phase ? moved[3:2] : moved[1:0];
+            rise <= (phase ? moved[2] : moved[0]) ^ fall;
+            second <= phase ? moved[3] : moved[1];
         end
-    assign Q = ECLK ? now[0] : now[1];
+    always @(negedge ECLK or posedge RST)
+        if (RST) fall <= 0;
+        else fall <= second ^ rise;
+    // never two changes at one time, which a delay line could put in the wrong order
+    assign Q = rise ^ fall;
 endmodule
 
 // Both edges of the edge clock are sampled; four samples go to SCLK, Q0 the earliest.

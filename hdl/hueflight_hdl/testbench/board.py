@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from hueflight_protocol.cobs import cobs_decode
-from hueflight_protocol.control import Response, decode_response
+from hueflight_protocol.control import Response, decode_response, serial_frame
 from hueflight_protocol.errors import HueflightError
 
 from ..toolchain import cache_directory, run_tool
@@ -29,6 +29,8 @@ MODELS = Path(__file__).parent / "models"
 FAMILIES = ("ecp5", "ice40", "xc7")
 BAUD = 3e6
 _SAMPLES_PER_BIT = 16
+_RECEIVE_PS = 20_000_000
+"""After which a driver that waits for a message looks again."""
 _OPTIONS = ("--cc", "--exe", "--build", "--timing", "-Wno-fatal", "-Wno-lint", "-Wno-style")
 _WRAPPER = """\
 module board (
@@ -235,3 +237,89 @@ def run_board(program: Path, script: BoardScript, /) -> BoardRun:
         time, name, value = line.split()
         changes[name].append((int(time), int(value)))
     return BoardRun(changes["led"], changes["tx"], script.now_ps, changes["period"])
+
+
+class BoardProcess:
+    """A board that runs as it is asked: a `Transport` for the illuminator's driver.
+
+    Simulated time passes only while something is sent or received.
+
+    Parameters
+    ----------
+    program : Path
+        From `compile_board`.
+
+    Attributes
+    ----------
+    name : str
+        See `Transport`.
+    """
+
+    def __init__(self, program: Path, /) -> None:
+        self.name = "simulated board"
+        self._process = subprocess.Popen(
+            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self._reader = LineReader(clocks_per_bit=_SAMPLES_PER_BIT)
+        self._messages: list[bytes] = []
+        self._received = b""
+        self._level = 1
+        self._samples = 0
+
+    def run(self, script: BoardScript, /) -> None:
+        """Run commands.
+
+        Parameters
+        ----------
+        script : BoardScript
+            What happens to the board.
+
+        Raises
+        ------
+        BoardError
+            If the simulation has ended.
+        """
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            self._process.stdin.write("\n".join([*script.lines, "flush 0", ""]))
+            self._process.stdin.flush()
+        except BrokenPipeError as error:
+            raise BoardError(f"{self.name}: the simulation has ended") from error
+        for line in self._process.stdout:
+            time, name, value = line.split()
+            if name in ("tx", "now"):
+                self._take(int(time))
+            if name == "tx":
+                self._level = int(value)
+            if name == "now":
+                return
+        raise BoardError(f"{self.name}: the simulation has ended")
+
+    def send(self, message: bytes, /) -> None:
+        """Send one request, see `Transport`."""
+        script = BoardScript()
+        script.send(serial_frame(message))
+        self.run(script)
+
+    def receive(self, timeout_s: float, /) -> bytes | None:
+        """Return the next message within so much simulated time, see `Transport`."""
+        script = BoardScript()
+        script.wait(_RECEIVE_PS)
+        for _ in range(max(1, round(timeout_s * 1e12 / _RECEIVE_PS))):
+            if self._messages:
+                break
+            self.run(script)
+        return self._messages.pop(0) if self._messages else None
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._process.communicate()  # the end of its commands is its end
+
+    def _take(self, time_ps: int) -> None:
+        """Sample the line up to a time, at its level since the last change."""
+        samples = int(time_ps * BAUD * _SAMPLES_PER_BIT / 1e12)
+        self._received += self._reader.feed(np.full(samples - self._samples, self._level, np.uint8))
+        self._samples = samples
+        *whole, self._received = self._received.split(b"\0")
+        self._messages += [cobs_decode(part) for part in whole if part]

@@ -8,14 +8,18 @@
 //   osc RUNS        stop (0) or start (1) the oscillator
 //   reference HALF  half period of the external clock in picoseconds; 0 stops it where it stands
 //   period 0        print the last period of the clock output
+//   loop CHANNEL PS lead an LED's pin to the trigger input, which it reaches PS picoseconds later
+//   flush 0         print a line "now", and let the reader have all lines
 //
-// Each change is a line: time in picoseconds, "led", "tx" or "period", value.
+// Each change is a line: time in picoseconds, "led", "tx", "period" or "now", value.
 #include <algorithm>
 #include <cstdint>
 #include <cstdio>
+#include <deque>
 #include <iostream>
 #include <memory>
 #include <string>
+#include <utility>
 
 #include "Vboard.h"
 #include "Vboard__Dpi.h"
@@ -31,12 +35,18 @@ struct Board {
     bool running = true;
     uint64_t reference_half = 0, next_reference = 0, rise = 0, period = 0;
     int led = -1, tx = -1, clock_out = 0;
+    int looped = -1;
+    uint64_t loop_delay = 0;
+    std::deque<std::pair<uint64_t, int>> wire;  // changes on their way to the trigger input
 
     void settle() {
         context.time(now);
         top->eval();
-        if (int value = top->led; value != led)
+        if (int value = top->led; value != led) {
+            if (looped >= 0 && led >= 0 && ((value ^ led) >> looped & 1))
+                wire.emplace_back(now + loop_delay, value >> looped & 1);
             std::printf("%llu led %d\n", (unsigned long long)now, led = value);
+        }
         if (int value = top->tx; value != tx)
             std::printf("%llu tx %d\n", (unsigned long long)now, tx = value);
         if (top->clock_out && !clock_out) {
@@ -54,7 +64,12 @@ struct Board {
             if (top->eventsPending()) next = std::min<uint64_t>(next, top->nextTimeSlot());
             if (running) next = std::min(next, next_edge);
             if (reference_half) next = std::min(next, next_reference);
+            if (!wire.empty()) next = std::min(next, wire.front().first);
             now = std::max(next, now);
+            if (!wire.empty() && now == wire.front().first) {
+                top->trigger = wire.front().second;
+                wire.pop_front();
+            }
             if (running && now == next_edge) {
                 top->osc = !top->osc;
                 next_edge += OSC_HALF_PS;
@@ -89,6 +104,12 @@ int main() {
             board.send(hex, value);
             continue;
         }
+        if (command == "loop") {
+            std::cin >> board.looped >> board.loop_delay;
+            board.wire.clear();
+            board.top->trigger = 0;
+            continue;
+        }
         std::cin >> value;
         if (command == "wait") board.wait(value);
         else if (command == "trigger") board.top->trigger = value;
@@ -99,6 +120,9 @@ int main() {
         } else if (command == "period") {
             std::printf("%llu period %llu\n", (unsigned long long)board.now,
                         (unsigned long long)board.period);
+        } else if (command == "flush") {
+            std::printf("%llu now 0\n", (unsigned long long)board.now);
+            std::fflush(stdout);
         } else if (command == "osc") {
             board.running = value;
             board.next_edge = board.now + OSC_HALF_PS;

@@ -3,26 +3,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from hueflight.cli.exit_codes import FAILED
-from hueflight.cli.output import print_notice, show
+from hueflight.cli.output import error_console, print_notice, show
 from hueflight.devices.clock_choice import ClockName
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.illuminator import open_illuminator
 from hueflight.devices.selftest import WORDS, SelfTestResult, run_selftest
+from hueflight.devices.skew import measure_skew
 
 
 def board(
-    action: Literal["selftest", "clock"],
+    action: Literal["selftest", "clock", "skew"],
     port: str,
     /,
     *,
     source: ClockName | None = None,
+    channel: list[int] | None = None,
+    yes: Annotated[bool, Parameter(negative=())] = False,
     baud: int | None = None,
     leds: Annotated[bool, Parameter(negative="--no-leds")] = True,
     dwell: float = 0.5,
@@ -30,20 +34,26 @@ def board(
     record: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Test an illuminator on the bench, or choose the clock that it runs from.
+    """Test an illuminator on the bench, choose its clock, or measure the skew of its LEDs.
 
     The test covers clock, line, each LED, and the watchdog. LEDs fire one after another, for 10 ns
     in every 82 µs or longer. The exit code is 1 if a test fails. The clock is the board's
-    oscillator or an external one; a change disarms the board.
+    oscillator or an external one; a change disarms the board. For the skew, the output of one LED
+    after another is led to the trigger input, by a wire or by its light on a photodiode; this needs
+    gateware with fine delays.
 
     Parameters
     ----------
     action : str
-        What to do: selftest, or clock.
+        What to do: selftest, clock, or skew.
     port : str
         Serial port of the illuminator, such as /dev/ttyUSB0.
     source : {"internal", "external"}, optional
         Clock to run from, with the action clock; by default the clock is only shown.
+    channel : list of int, optional
+        LED to measure, with the action skew; can be given more than once. By default all are.
+    yes : bool, default False
+        Begin with each LED without asking, as where a photodiode sees all of them.
     baud : int, optional
         Line rate in bits per second. By default it is found by asking the board.
     leds : bool, default True
@@ -66,6 +76,10 @@ def board(
         raise DeviceError(f"--words {words} --dwell {dwell:g}: must be at least 1 word and 0 s")
     if source is not None and action != "clock":
         raise DeviceError(f"--source {source}: belongs to `hueflight board clock`")
+    if channel is not None and action != "skew":
+        raise DeviceError(f"--channel {channel[0]}: belongs to `hueflight board skew`")
+    if action == "skew":
+        return _skew(port, channel, yes=yes, baud=baud, record=record, json=json)
     if action == "clock":
         return _clock(port, source, baud=baud, record=record, json=json)
     illuminator = open_illuminator(port, baud=baud, record=record)
@@ -102,6 +116,42 @@ def _clock(
     finally:
         illuminator.close()
     show(f"Clock of {port}", asdict(state), json_wanted=json)
+    return 0
+
+
+def _skew(
+    port: str,
+    channels: list[int] | None,
+    *,
+    yes: bool,
+    baud: int | None,
+    record: Path | None,
+    json: bool,
+) -> int:
+    """Measure step and skew of the fine delay lines."""
+    console = error_console()
+
+    def connect(channel: int) -> None:
+        if yes or not console.is_terminal:
+            print_notice(f"LED {channel}")
+        else:
+            console.input(f"Lead the output of LED {channel} to the trigger input; press Enter. ")
+
+    illuminator = open_illuminator(port, baud=baud, record=record)
+    try:
+        found = measure_skew(illuminator, channels=channels, connect=connect)
+    finally:
+        illuminator.close()
+    measured = {led: skew for led, skew in enumerate(found.skew_ns) if not math.isnan(skew)}
+    values: dict[str, Any] = {
+        "step_ns": found.step_ns if json else f"{found.step_ns:.4f}",
+        "residual_ns": found.residual_ns if json else f"{found.residual_ns:.3f}",
+    }
+    if json:
+        values |= {"skew_ns": [measured.get(led) for led in range(len(found.skew_ns))]}
+    else:
+        values |= {f"LED {led}, skew_ns": f"{skew:+.3f}" for led, skew in measured.items()}
+    show(f"Skew of {port}", values, json_wanted=json)
     return 0
 
 

@@ -257,26 +257,63 @@ class Illuminator:
         RequestError
             If the board is armed.
         """
-        lines = self.capacity.fine
-        if lines is None:
-            raise ScheduleError(
-                f"the board at {self.identity.place} was built without fine delay lines: build it "
-                "with --set fine_delay=1"
-            )
+        lines = self.fine_delays()
         if skew_ns is not None:
             lines = replace(lines, skew_ns=tuple(skew_ns))
         if step_ns is not None:
             lines = replace(lines, step_ns=step_ns)
         delays = [[pulse.delay_ns for pulse in pulses] for pulses in schedule.channels]
         lines = lines.fitted(delays, self.capacity.tick_ns)
-        capacity = replace(self.capacity, fine=lines)
-        to_ticks(schedule, capacity)  # refuses a schedule before anything is written
+        to_ticks(schedule, replace(self.capacity, fine=lines))  # refuses before it writes
+        self.set_fine_delays(lines)
+        return lines
+
+    def set_fine_delays(self, lines: FineDelays, /) -> None:
+        """Set the fine delay lines, as `align` does for a schedule.
+
+        Parameters
+        ----------
+        lines : FineDelays
+            The settings; step and skew are what `load` and `play` count with from now on.
+
+        Raises
+        ------
+        ScheduleError
+            If the board has no such lines.
+        RequestError
+            If the board is armed.
+        """
+        own = self.fine_delays()
+        if (lines.steps, len(lines.settings)) != (own.steps, len(own.settings)):
+            raise ScheduleError(
+                f"{len(lines.settings)} lines of {lines.steps} settings: the board at "
+                f"{self.identity.place} has {len(own.settings)} of {own.steps}"
+            )
         declared = self.board.registers[registers.FineDelay.NAME]
         self._write_words(
             {declared.address_of(channel): value for channel, value in enumerate(lines.settings)}
         )
-        self.capacity = capacity
-        return lines
+        self.capacity = replace(self.capacity, fine=lines)
+
+    def fine_delays(self) -> FineDelays:
+        """Return how the fine delay lines are set.
+
+        Returns
+        -------
+        FineDelays
+            The settings, and step and skew as far as they were given.
+
+        Raises
+        ------
+        ScheduleError
+            If the board has no fine delay lines.
+        """
+        if self.capacity.fine is None:
+            raise ScheduleError(
+                f"the board at {self.identity.place} was built without fine delay lines: build it "
+                "with --set fine_delay=1"
+            )
+        return self.capacity.fine
 
     # -- triggers -----------------------------------------------------------------------------
 

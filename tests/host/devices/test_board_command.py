@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``hueflight board selftest`` on a board in software behind a pseudo terminal."""
+"""``hueflight board`` on a board in software behind a pseudo terminal."""
 
 from __future__ import annotations
 

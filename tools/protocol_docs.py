@@ -268,7 +268,7 @@ def registers_document() -> str:
     parts = [REGISTERS_HEAD]
     boards = (
         hp.illuminator_map(external_clock=True, fine_steps=MAX_FINE_STEPS),
-        hp.camera_map(reduction=hp.ReductionRoom()),
+        hp.camera_map(reduction=hp.ReductionRoom(), external_clock=True),
     )
     for registers in boards:
         size = "nine channels" if registers.name == "illuminator" else "192 × 128 pixels"

@@ -25,7 +25,7 @@ WIDTH = 100
 #: two builds that differ in everything a build may choose: what they share holds for all builds
 BUILDS = {
     "camera": (
-        camera_map(reduction=ReductionRoom()),
+        camera_map(reduction=ReductionRoom(), external_clock=True),
         camera_map(
             rows=1024,
             cols=1024,
@@ -35,6 +35,8 @@ BUILDS = {
             geometry=1,
             clock_hz=1,
             reduction=ReductionRoom(sums=1, entry_bits=1, sum_bits=1, group=4),
+            external_clock=True,
+            reference_hz=1,
         ),
     ),
     "illuminator": (

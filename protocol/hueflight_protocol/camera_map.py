@@ -3,6 +3,7 @@
 
 from enum import IntEnum
 
+from .clock_registers import EXTERNAL_CLOCK, REFERENCE_LOST, clock_failures, clock_registers
 from .common_map import common_registers
 from .errors import RegisterError
 from .reduction_registers import ReductionRoom, reduction_registers
@@ -32,6 +33,8 @@ def camera_map(
     geometry: int = 0,
     clock_hz: int = 100_000_000,
     reduction: ReductionRoom | None = None,
+    external_clock: bool = False,
+    reference_hz: int = 0,
 ) -> RegisterMap:
     """Return the camera's register map; addresses are the same for every build.
 
@@ -51,6 +54,10 @@ def camera_map(
         Frequency of the device clock.
     reduction : ReductionRoom, optional
         Room for sums; by default the build can't reduce codes to sums.
+    external_clock : bool
+        The build can run from an external clock; otherwise it has no registers for that.
+    reference_hz : int
+        Frequency of the external clock.
 
     Returns
     -------
@@ -70,7 +77,11 @@ def camera_map(
         if not 1 <= number <= high:
             raise RegisterError(f"{name} = {number}: must be from 1 to {high}")
     common = common_registers(
-        BOARD, clock_hz=clock_hz, features=_FEATURES, state=_STATE, faults=_FAULTS
+        BOARD,
+        clock_hz=clock_hz,
+        features=(*_FEATURES, EXTERNAL_CLOCK) if external_clock else _FEATURES,
+        state=_STATE,
+        faults=(*_FAULTS, _CLOCK_FAILED, REFERENCE_LOST) if external_clock else _FAULTS,
     )
     build = [
         Register(
@@ -109,6 +120,7 @@ def camera_map(
             *_filters(rows, cols, code_bits),
             *_synthetic(),
             *([] if reduction is None else reduction_registers(reduction)),
+            *(_clock(reference_hz) if external_clock else ()),
         ],
     )
 
@@ -135,6 +147,35 @@ _FAULTS = (
     Field("sensor", 1, "the sensor sent fewer or more codes than a frame has"),
     Field("saturated", 1, "a counter stands at its largest value"),
 )
+_CLOCK_FAILED = Field("clock_failed", 1, "the clock failed, which ended the capture")
+
+
+def _clock(reference_hz: int) -> list[Register]:
+    return [
+        *clock_registers(reference_hz),
+        clock_failures(0x017),
+        Register(
+            "time_sync",
+            0x032,
+            Access.PULSE,
+            (
+                Field("arm", 1, "the next rising edge on the input sets the time stamp to 0"),
+                Field("send", 1, "send such an edge on the output"),
+            ),
+            "common time of several boards, in builds with an external clock",
+        ),
+        Register(
+            "time_state",
+            0x033,
+            Access.RO,
+            (
+                Field("armed", 1, "an edge is waited for"),
+                Field("done", 1, "it has come, and the clock has not failed since"),
+                Field("level", 1, "level of the input"),
+            ),
+            "common time, in builds with an external clock",
+        ),
+    ]
 
 
 def _run() -> list[Register]:

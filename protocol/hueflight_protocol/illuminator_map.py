@@ -3,6 +3,7 @@
 
 from enum import IntEnum
 
+from .clock_registers import EXTERNAL_CLOCK, REFERENCE_LOST, clock_failures, clock_registers
 from .common_map import common_registers
 from .errors import RegisterError
 from .registers import Access, Field, Parts, Register, RegisterMap, Reserved, value
@@ -134,14 +135,14 @@ def illuminator_map(
         clock_hz=clock_hz,
         features=_features(external_clock=external_clock, fine_delay=bool(fine_steps)),
         state=_STATE,
-        faults=(*_FAULTS, _REFERENCE_LOST) if external_clock else _FAULTS,
+        faults=(*_FAULTS, REFERENCE_LOST) if external_clock else _FAULTS,
     )
     return RegisterMap(
         "illuminator",
         [
             *common,
             *build,
-            *(_clock(reference_hz) if external_clock else ()),
+            *(clock_registers(reference_hz) if external_clock else ()),
             *(_fine(channels, fine_steps, fine_step_fs) if fine_steps else ()),
             *_safety(channels),
             *_trigger(lanes),
@@ -155,13 +156,12 @@ _FEATURES = (
     Field("temperature", 1, "the temperature is measured"),
     Field("clock_supervision", 1, "failures of the clock are detected and counted"),
 )
-_EXTERNAL_CLOCK = Field("external_clock", 1, "the board can run from an external clock")
 _FINE_DELAY = Field("fine_delay", 1, "channels have fine delay lines")
 
 
 def _features(*, external_clock: bool, fine_delay: bool) -> Parts:
     """Return the bits of features, which stand at the same places in every build."""
-    parts: Parts = (*_FEATURES, _EXTERNAL_CLOCK) if external_clock else _FEATURES
+    parts: Parts = (*_FEATURES, EXTERNAL_CLOCK) if external_clock else _FEATURES
     if fine_delay:
         parts = (*parts, *(() if external_clock else (Reserved(1),)), _FINE_DELAY)
     return parts
@@ -187,37 +187,6 @@ _FAULTS = (
     Field("saturated", 1, "a counter stands at its largest value"),
     Field("clock_failed", 1, "the clock failed, which disarmed the board"),
 )
-_REFERENCE_LOST = Field("reference_lost", 1, "the external clock was lost while in use")
-
-
-def _clock(reference_hz: int) -> list[Register]:
-    return [
-        Register(
-            "clock_source",
-            0x012,
-            Access.RW,
-            (Field("external", 1, "run from the external clock; asks anew when it becomes 1"),),
-            "clock that is wanted, in builds with an external one; a change disarms the board",
-        ),
-        Register(
-            "clock_state",
-            0x013,
-            Access.RO,
-            (
-                Field("external", 1, "the external clock is in use"),
-                Field("present", 1, "there is an external clock of the right frequency"),
-                Field("lost", 1, "it was lost while in use; until it is asked for again"),
-            ),
-            "clock in use, in builds with an external clock",
-        ),
-        Register(
-            "reference_hz",
-            0x014,
-            Access.CONST,
-            value(32, "", reset=reference_hz, unit="Hz"),
-            "frequency that the external clock must have, in builds with one",
-        ),
-    ]
 
 
 def _fine(channels: int, steps: int, step_fs: int) -> list[Register]:
@@ -285,13 +254,7 @@ def _safety(channels: int) -> list[Register]:
             value(channels, "bit k: channel k"),
             "channels held back by the duty limit",
         ),
-        Register(
-            "clock_failures",
-            0x01E,
-            Access.RO,
-            value(16, "number"),
-            "failures of the clock (the PLL lost lock) since configuration, saturating",
-        ),
+        clock_failures(0x01E),
         Register(
             "limit",
             0x060,

@@ -129,7 +129,9 @@ class RegisterFile:
         *indices : int
             Element of an array.
         """
-        self.set(value.NAME, *indices, **value.as_dict())
+        register = self.registers[value.NAME]
+        register.address_of(*indices)  # says what is wrong
+        self._values[value.NAME, indices] = value.encode(register)
 
     def handle(self, message: bytes, /) -> bytes | None:
         """Answer a control message.

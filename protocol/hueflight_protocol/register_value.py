@@ -40,7 +40,7 @@ class RegisterValue:
         return cls(**register.decode(value))
 
     def encode(self, register: Register, /) -> int:
-        """Put the fields together.
+        """Put the fields together; one that the build of the board lacks must be 0.
 
         Parameters
         ----------
@@ -55,9 +55,10 @@ class RegisterValue:
         Raises
         ------
         RegisterError
-            If a field does not fit its width.
+            If a field does not fit its width, or the build lacks it.
         """
-        return register.encode(**self.as_dict())
+        values = self.as_dict().items()
+        return register.encode(**{n: value for n, value in values if value or n in register.fields})
 
     def as_dict(self) -> dict[str, int]:
         """Return the fields by name.

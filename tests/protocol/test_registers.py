@@ -17,6 +17,7 @@ MAPS = [
     hp.camera_map(rows=1, cols=1, code_bits=1),
     hp.camera_map(rows=1024, cols=1024, code_bits=16),
     hp.camera_map(reduction=hp.ReductionRoom()),
+    hp.camera_map(external_clock=True, reference_hz=10_000_000),
 ]
 
 

@@ -13,7 +13,7 @@ from hueflight_protocol.typed_registers import camera, illuminator
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "protocol" / "hueflight_protocol" / "typed_registers"
 MAPS = (
-    (camera, hp.camera_map(rows=5, cols=7, reduction=hp.ReductionRoom())),
+    (camera, hp.camera_map(rows=5, cols=7, reduction=hp.ReductionRoom(), external_clock=True)),
     (illuminator, hp.illuminator_map(channels=3, external_clock=True, fine_steps=128)),
 )
 
@@ -56,6 +56,16 @@ def test_fields_that_are_not_given_keep_their_reset_value():
         camera.Synthetic(occupanzy=1)
     with pytest.raises(hp.RegisterError, match=r"trigger.width = 256: must be from 0 to 255"):
         camera.Trigger(width=256).encode(register)
+
+
+def test_a_field_that_a_build_lacks_must_be_0():
+    features = hp.camera_map()["features"]
+    assert camera.Features(overlap=1).encode(features) == features.encode(overlap=1)
+    with pytest.raises(hp.RegisterError, match="features has no field 'external_clock'"):
+        camera.Features(external_clock=1).encode(features)
+    board = hp.RegisterFile(hp.camera_map())
+    board.store(camera.Features(overlap=1))
+    assert board.load(camera.Features) == camera.Features(overlap=1)
 
 
 def test_a_register_file_is_set_and_read_by_type():

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from hueflight_hdl.testbench.board import BoardRun, BoardScript
 from hueflight_protocol import control
 from hueflight_protocol.illuminator_map import illuminator_map
+from hueflight_protocol.registers import RegisterMap
 
 US = 1_000_000  # in picoseconds
 MAP = illuminator_map(external_clock=True, fine_steps=128)
@@ -31,9 +32,10 @@ ULX3S = Board("ulx3s-85f", "ecp5", 25e6, 1250, 24 * 4)
 class Session(BoardScript):
     """A script with numbered requests; each waits for its response."""
 
-    def __init__(self, board: Board, *, trigger: int = 0) -> None:
+    def __init__(self, board: Board, *, trigger: int = 0, registers: RegisterMap = MAP) -> None:
         super().__init__()
         self.board = board
+        self.registers = registers
         self.requests = 0
         self.set("trigger", trigger)
         self.wait(20 * US)  # the PLL locks
@@ -46,10 +48,10 @@ class Session(BoardScript):
         return self.requests - 1
 
     def write(self, name: str, *words: int) -> int:
-        return self.request(control.write(self.requests, MAP[name].address, words))
+        return self.request(control.write(self.requests, self.registers[name].address, words))
 
     def read(self, name: str, count: int = 1) -> int:
-        return self.request(control.read(self.requests, MAP[name].address, count))
+        return self.request(control.read(self.requests, self.registers[name].address, count))
 
     def load(self, *, width: int = 8) -> None:
         """Load Table 1: nine pulses, 24 ticks apart, with another width."""

@@ -15,10 +15,10 @@ from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import PulseConfig
 from .ecp5_clocks import CLOCK_RATIO, PULSE_HZ, Ecp5Clocks, check_clocks
 from .ecp5_pll import pll_place
-from .ecp5_reference import Ecp5Reference, clock_output, conversion
+from .ecp5_reference import conversion, reference_from_pins
 from .illuminator_pins import add_from_platform
 from .illuminator_target import target_of
-from .pins import drive, drive_pin, read_pin
+from .pins import drive
 from .settings import choose_illuminator
 from .target import Options, Target
 
@@ -78,7 +78,13 @@ class Ecp5Illuminator(Elaboratable):
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
         clock_hz = platform.default_clk_frequency
-        reference = self._reference(m, platform, clock.i) if self.config.reference_hz else None
+        reference = None
+        if self.config.reference_hz:
+            assert self.edge is not None  # illuminator_target has refused it
+            place = pll_place(platform.device, self.edge)
+            reference = reference_from_pins(
+                m, platform, clock.i, self.config.reference_hz, place=place
+            )
         clocks = Ecp5Clocks(clock.i, clock_hz, pulse_hz=self.config.pulse_hz, reference=reference)
         clocks.add_to(m, platform)
         channels = range(self.config.pulse.channels if self.config.fine_steps else 0)
@@ -99,19 +105,6 @@ class Ecp5Illuminator(Elaboratable):
         lamp = platform.request(self.armed, 0, dir="-")
         drive(m, "armed", lamp.r if self.armed == "rgb_led" else lamp, illuminator.armed)
         return m
-
-    def _reference(self, m: Module, platform: Platform, clock: Signal) -> Ecp5Reference:
-        """Return the choice of the clock, and send the chosen one out where there is a pin."""
-        external = read_pin(m, platform, "reference")
-        clock_hz = round(platform.default_clk_frequency)
-        assert self.edge is not None  # illuminator_target has refused it
-        place = pll_place(platform.device, self.edge)
-        reference = Ecp5Reference(clock, clock_hz, external, self.config.reference_hz, place=place)
-        if ("clock_out", 0) in platform.resources:
-            pin = Signal()
-            clock_output(m, reference.chosen, pin)
-            drive_pin(m, platform, "clock_out", pin)
-        return reference
 
 
 def illuminator_target(

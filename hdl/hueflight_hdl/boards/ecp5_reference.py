@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An external clock for the illuminator on ECP5, instead of the board's oscillator.
+"""An external clock for boards with an ECP5, instead of their oscillator.
 
 # Ref: Lattice FPGA-TN-02200, ECP5 and ECP5-5G sysCLOCK PLL/DLL; FPGA-DS-02012, ECP5 and ECP5-5G
 # family data sheet (the PLL's phase detector runs from 10 MHz, its oscillator from 400 to 800 MHz).
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from amaranth.build import Platform
 from amaranth.hdl import (
     ClockDomain,
     ClockSignal,
@@ -22,8 +23,9 @@ from amaranth.hdl import (
 )
 from amaranth.lib.cdc import FFSynchronizer
 
-from ..illuminator.clock_choice import REFERENCE_STATE
+from ..control.clock_choice import REFERENCE_STATE
 from .ecp5_pll import PllOutput, ecp5_pll
+from .pins import drive_pin, read_pin
 from .reference_clock import LOCK_S, SETTLE_S, ReferenceSupervisor, divider_bits
 from .settings import MAX_REFERENCE_HZ
 from .target import TargetError
@@ -79,8 +81,8 @@ class Ecp5Reference(Elaboratable):
         The external clock.
     external_hz : int
         Its frequency.
-    place : str
-        Where the PLL behind the choice must be, see `pll_place`: it is next to no clock's pin.
+    place : str, optional
+        Where the PLL behind the choice must be, see `pll_place`, if it drives an edge clock.
 
     Attributes
     ----------
@@ -102,7 +104,13 @@ class Ecp5Reference(Elaboratable):
     """
 
     def __init__(
-        self, clock: Value, clock_hz: int, external: Value, external_hz: int, *, place: str
+        self,
+        clock: Value,
+        clock_hz: int,
+        external: Value,
+        external_hz: int,
+        *,
+        place: str | None = None,
     ) -> None:
         self.clock = clock
         self.clock_hz = clock_hz
@@ -155,6 +163,34 @@ class Ecp5Reference(Elaboratable):
             locked=Signal(),
         )
         return made
+
+
+def reference_from_pins(
+    m: Module, platform: Platform, clock: Value, external_hz: int, /, *, place: str | None = None
+) -> Ecp5Reference:
+    """Return the choice of a board's clock, and send the chosen one out where there is a pin.
+
+    Parameters
+    ----------
+    m : Module
+        The board's top module; the choice becomes a submodule of its clocks.
+    platform : Platform
+        Has the resource ``reference``, and perhaps ``clock_out``.
+    clock : Value
+        From the oscillator.
+    external_hz : int
+        Frequency of the external clock.
+    place : str, optional
+        See `Ecp5Reference`.
+    """
+    external = read_pin(m, platform, "reference")
+    clock_hz = round(platform.default_clk_frequency)
+    reference = Ecp5Reference(clock, clock_hz, external, external_hz, place=place)
+    if ("clock_out", 0) in platform.resources:
+        pin = Signal()
+        clock_output(m, reference.chosen, pin)
+        drive_pin(m, platform, "clock_out", pin)
+    return reference
 
 
 def clock_output(m: Module, clock: Value, pin: Signal, /) -> None:

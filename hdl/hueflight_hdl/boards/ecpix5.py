@@ -15,7 +15,7 @@ from amaranth_boards.ecpix5 import ECPIX545Platform, ECPIX585Platform
 
 from ..camera.camera import CameraConfig
 from ..link.usb import UsbLink
-from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_target
+from .ecp5_camera import SYNC_HZ, add_camera, add_clocks, camera_target
 from .ecp5_clocks import AIM
 from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
@@ -41,6 +41,11 @@ _CAMERA = [
     Resource("frame_sync", 0, Pins("2", dir="o", conn=("pmod", 1)), _FAST),
     Resource("missed", 0, Pins("3", dir="i", conn=("pmod", 1)), _PLAIN),
     Resource("marker", 0, Pins("1 2 3 4 7 8 9 10", dir="i", conn=("pmod", 2)), _PLAIN),
+    # pins 1 and 2, where the illuminator has its clocks, are the sensor's
+    Resource("reference", 0, Pins("3", dir="i", conn=("pmod", 3)), _PLAIN),
+    Resource("clock_out", 0, Pins("4", dir="o", conn=("pmod", 3)), _FAST),
+    Resource("time_sync", 0, Pins("7", dir="i", conn=("pmod", 3)), _PLAIN),
+    Resource("time_sync_out", 0, Pins("8", dir="o", conn=("pmod", 3)), _FAST),
 ]
 # data lanes on PMOD 0, which has nothing else on the camera
 _SENSOR = [
@@ -114,7 +119,7 @@ class UsbCamera(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        CameraClocks(clock.i, platform.default_clk_frequency).add_to(m, platform)
+        clocks = add_clocks(m, self.config, platform, clock.i)
         ulpi = platform.request("ulpi", 0, dir="-")
         phy_reset, stop = Signal(init=1), Signal()
         drive(m, "rst", ulpi.rst, phy_reset)
@@ -128,7 +133,7 @@ class UsbCamera(Elaboratable):
             nxt=SimpleNamespace(i=input_of(m, "nxt", ulpi.nxt)),
             stp=SimpleNamespace(o=stop),
         )
-        camera = add_camera(m, self.config, platform)
+        camera = add_camera(m, self.config, platform, clocks)
         if self.config.sensor:
             add_sensor(m, camera, platform, Ecp5LaneInputs(clock.i))
         m.submodules.link = link = UsbLink(bus, serial=f"{self.config.serial:08d}")

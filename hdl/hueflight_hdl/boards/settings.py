@@ -27,7 +27,7 @@ _PULSE = ("channels", "pulses", "steps")
 _OTHERS = ("baud", "serial", "reference_hz")
 _LIMITS = ("max_on_ticks", "duty_divisor", "burst_ticks")
 _FORM = ("rows", "cols", "code_bits", "lanes", "run", "geometry", "banks")
-_CAMERA = ("buffer_words", "admit_words", "serial")
+_CAMERA = ("buffer_words", "admit_words", "serial", "reference_hz")
 _SENSOR = ("sensor", "overlap")
 MAX_BAUD = 12_000_000
 MAX_SERIAL = (1 << 64) - 1
@@ -72,6 +72,12 @@ class Setting:
         return number
 
 
+_REFERENCE = Setting(
+    "reference_hz",
+    "frequency of an external clock, on ECP5 boards with a pin for it; 0 = none",
+    0,
+    MAX_REFERENCE_HZ,
+)
 ILLUMINATOR = (
     Setting("channels", "LED channels", 1, MAX_CHANNELS),
     Setting("pulses", "pulses per channel and train", 1, MAX_PULSES),
@@ -81,12 +87,7 @@ ILLUMINATOR = (
     Setting("burst_ticks", "on-time allowed beyond the duty limit, in ticks", 1, 4095),
     Setting("baud", "rate of the serial line, in bits per second", 9600, MAX_BAUD),
     Setting("serial", "serial number of the board", 0, MAX_SERIAL),
-    Setting(
-        "reference_hz",
-        "frequency of an external clock, on ECP5 boards with a pin for it; 0 = none",
-        0,
-        MAX_REFERENCE_HZ,
-    ),
+    _REFERENCE,
     Setting("fine_delay", "1 = a fine delay line for each LED, on ECP5 boards; 0 = none", 0, 1),
 )
 CAMERA = (
@@ -107,6 +108,7 @@ CAMERA = (
     Setting("overlap", "1 = the sensor on pins keeps its codes while it exposes", 0, 1),
     Setting("admit_words", "room in the buffer that a frame needs to be admitted", 3, 1 << 16),
     Setting("serial", "serial number of the board", 0, MAX_SERIAL),
+    _REFERENCE,
 )
 BY_DESIGN = {"illuminator": ILLUMINATOR, "camera": CAMERA}
 
@@ -230,11 +232,9 @@ def choose_illuminator(
         If there are more channels than pins, or there is no external clock or fine delay.
     """
     values = dict(options.settings)
-    if values.get("reference_hz") and not external_clock:
-        raise TargetError(
-            f"reference_hz = {values['reference_hz']}: {board} cannot run from an external clock; "
-            "ECP5 boards with a pin named reference, and an edge for its clock, can"
-        )
+    if not external_clock:
+        needed = "a pin named reference, and an edge for its clock"
+        refuse_reference(board, values.get("reference_hz", 0), needed)
     if values.get("fine_delay") and not fine_delay:
         raise TargetError(
             f"fine_delay = 1: {board} has no fine delay lines behind its outputs; ECP5 boards have"
@@ -246,6 +246,30 @@ def choose_illuminator(
             f"channels = {values['channels']}: {board} has {leds} pins for LEDs (led_pulse)"
         )
     return set_illuminator(config, values)
+
+
+def refuse_reference(board: str, reference_hz: int, needed: str, /) -> None:
+    """Refuse an external clock.
+
+    Parameters
+    ----------
+    board : str
+        Name of the board, which cannot run from one.
+    reference_hz : int
+        Frequency that was asked for; 0 is not refused.
+    needed : str
+        What an ECP5 board needs, for the message.
+
+    Raises
+    ------
+    TargetError
+        If there is one.
+    """
+    if reference_hz:
+        raise TargetError(
+            f"reference_hz = {reference_hz}: {board} cannot run from an external clock; "
+            f"ECP5 boards with {needed}, can"
+        )
 
 
 def illuminator_settings(config: IlluminatorConfig, /) -> dict[str, int]:

@@ -21,7 +21,7 @@ from hueflight_protocol.links import FT601_HZ
 from ..camera.camera import CameraConfig
 from ..link.ft601 import Ft601Link
 from ..link.serial import SerialLink
-from .ecp5_camera import SYNC_HZ, CameraClocks, add_camera, camera_target
+from .ecp5_camera import SYNC_HZ, add_camera, add_clocks, camera_target
 from .ecp5_clocks import AIM
 from .ecp5_illuminator import illuminator_target
 from .pins import drive, input_of
@@ -72,6 +72,11 @@ _CAMERA = [
     Resource(
         "marker", 0, Pins("16+ 16- 17+ 17- 18+ 18- 19+ 19-", dir="i", conn=("gpio", 0)), _PLAIN
     ),
+    # the FT601 leaves these
+    Resource("reference", 0, Pins("13-", dir="i", conn=("gpio", 0)), _PLAIN),
+    Resource("clock_out", 0, Pins("15-", dir="o", conn=("gpio", 0)), _FAST),
+    Resource("time_sync", 0, Pins("27+", dir="i", conn=("gpio", 0)), _PLAIN),
+    Resource("time_sync_out", 0, Pins("27-", dir="o", conn=("gpio", 0)), _FAST),
 ]
 FT_HZ = float(FT601_HZ)
 _BAUD = 3e6
@@ -116,7 +121,7 @@ class Ft601Camera(Elaboratable):
         m = Module()
         oscillator = platform.request(platform.default_clk, dir="-")
         m.submodules.oscillator = clock = io.Buffer("i", oscillator)
-        CameraClocks(clock.i, platform.default_clk_frequency).add_to(m, platform)
+        clocks = add_clocks(m, self.config, platform, clock.i)
         pins = platform.request("ft601", 0, dir="-")
         m.domains.ft = ft = ClockDomain(reset_less=True)
         platform.add_clock_constraint(ft.clk, FT_HZ * AIM)
@@ -136,7 +141,7 @@ class Ft601Camera(Elaboratable):
         drive(m, "rd_n", pins.rd_n, 1)
         drive(m, "oe_n", pins.oe_n, 1)
         drive(m, "tx", uart.tx, serial.tx)
-        camera = add_camera(m, self.config, platform)
+        camera = add_camera(m, self.config, platform, clocks)
         connect(m, camera.packets, link.packets)
         connect(m, serial.requests, camera.requests)
         connect(m, camera.responses, serial.responses)

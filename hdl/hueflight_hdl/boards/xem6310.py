@@ -28,7 +28,7 @@ from .sensor_lanes import (
     add_sensor,
     check_lanes,
 )
-from .settings import camera_settings
+from .settings import camera_settings, refuse_reference
 from .target import Options, Target
 
 OK_HZ = float(OPAL_KELLY_HZ)
@@ -122,6 +122,7 @@ def camera(options: Options) -> Target:
     """Return the camera on this board."""
     config = camera_config(options)
     check_lanes("xem6310", config, SENSOR_LANES)
+    refuse_reference("xem6310", config.reference_hz, "pins named reference and time_sync")
     pins = read_pins(options.pins, "xem6310", wired(config))
     sensor_mhz = {"sensor": SENSOR_HZ / 1e6} if config.sensor else {}
     return Target(

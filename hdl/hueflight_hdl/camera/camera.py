@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Module, Mux, Signal, Value
 from amaranth.lib import data, stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
@@ -19,6 +19,7 @@ from ..control.messages import request_stream, response_stream
 from ..control.register_file import RegisterFile
 from ..control.standard_block import add_control
 from ..link.packet_word import WORD_LAYOUT
+from .clock import camera_clock_members, connect_clock
 from .counters import CaptureCounters
 from .exposure.control import MARKER_BITS, ExposureControl
 from .exposure.frame_guard import PATIENCE_CLOCKS, FrameGuard
@@ -75,6 +76,8 @@ class CameraConfig:
         Serial number of the board.
     source : int
         Hash of the sources; see `common.version.source_hash`.
+    reference_hz : int
+        Frequency of the external clock that the board can run from; 0 if it cannot.
 
     Raises
     ------
@@ -94,6 +97,7 @@ class CameraConfig:
     sums_words: int = PACKET_WORDS
     serial: int = 0
     source: int = 0
+    reference_hz: int = 0
 
     def __post_init__(self) -> None:
         if self.scene is not None:
@@ -118,6 +122,8 @@ class CameraConfig:
             geometry=form.geometry,
             clock_hz=form.clock_hz,
             reduction=self.reduction,
+            external_clock=bool(self.reference_hz),
+            reference_hz=self.reference_hz,
         )
 
 
@@ -136,6 +142,14 @@ class Camera(wiring.Component):
         To the illuminator.
     marker : In(16), missed : In(1)
         From the illuminator; need not be synchronous.
+    reference_wanted : Out(1), reference_state : In
+        Choice of the clock, as in `illuminator.illuminator.IlluminatorCore`; these and the next
+        three are there only in builds with an external clock.
+    clock_failed : In(1)
+        The clocks are not valid, or have not been for long: they may have paused. It need not be
+        synchronous. A capture that is on ends at once, as with the register's ``abort``.
+    time_sync : In(1), time_sync_out : Out(1)
+        Pins of `TimeSync`.
     """
 
     def __init__(self, config: CameraConfig) -> None:
@@ -149,7 +163,7 @@ class Camera(wiring.Component):
             lock_of=lock_of if reduces else None,
             locks=1 if reduces else 0,
         )
-        self._exposure = ExposureControl()
+        self._exposure = ExposureControl(time_sync=bool(config.reference_hz))
         self._synthetic = SyntheticSensor(form, config.scene)
         self._guard = FrameGuard(form, patience=config.patience)
         self._formatter = FrameFormatter(form, buffer_words=config.buffer_words)
@@ -174,6 +188,7 @@ class Camera(wiring.Component):
                 "frame_sync": Out(1),
                 "marker": In(MARKER_BITS),
                 "missed": In(1),
+                **(camera_clock_members() if config.reference_hz else {}),
             }
         )
 
@@ -188,6 +203,7 @@ class Camera(wiring.Component):
                 sensor=self.config.sensor,
                 scene=self.config.scene is not None,
                 overlap=self.config.overlap or not self.config.sensor,
+                **({"external_clock": 1} if self.config.reference_hz else {}),
             ),
         }
 
@@ -257,6 +273,9 @@ class Camera(wiring.Component):
     def _exposures(self, m: Module, readout: Readout) -> None:
         registers, exposure, guard = self._registers, self._exposure, self._guard
         settings = exposure.settings
+        abort: Value = registers.run.abort
+        if self.config.reference_hz:
+            abort = abort | connect_clock(m, self, registers, exposure)
         m.d.comb += [
             settings.period.eq(registers.period.value),
             settings.periods.eq(registers.exposure.value),
@@ -271,7 +290,7 @@ class Camera(wiring.Component):
             ),
             exposure.start.eq(registers.run.start),
             exposure.stop.eq(registers.run.stop),
-            exposure.abort.eq(registers.run.abort),
+            exposure.abort.eq(abort),
             exposure.marker_pins.eq(self.marker),
             exposure.missed_pin.eq(self.missed),
             exposure.read_done.eq(readout.over),

@@ -13,15 +13,14 @@ from amaranth.lib.wiring import In, Out, connect, flipped
 from hueflight_protocol.illuminator_map import Advance, Retrigger, illuminator_map
 from hueflight_protocol.registers import Register, RegisterMap
 
-from ..common.counter import SaturatingCounter
 from ..common.crossing import SettingsCrossing
 from ..common.version import VERSION
+from ..control.clock_choice import clock_members, connect_clock_choice, count_clock_failures
 from ..control.messages import request_stream, response_stream
 from ..control.register_file import RegisterFile
 from ..control.standard_block import add_control
 from ..link.serial import SerialLink
 from .arming import Arming
-from .clock_choice import REFERENCE_STATE, connect_clock_choice
 from .fine_delays import FineDelays
 from .pulse_generator.config import ConfigError, PulseConfig
 from .pulse_generator.generator import COUNTERS, LIVE_LAYOUT, STROBE_LAYOUT, PulseGenerator
@@ -106,7 +105,6 @@ class IlluminatorConfig:
 def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
     """Return the signature members for triggers and LEDs."""
     lanes = config.pulse.lanes
-    reference = {"reference_wanted": Out(1), "reference_state": In(REFERENCE_STATE)}
     fine = {"fine_load": Out(1), "fine_move": Out(config.pulse.channels)}
     return {
         "trigger": In(lanes),
@@ -117,7 +115,7 @@ def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
         "missed": Out(1),
         "armed": Out(1),
         "clock_failed": In(1),
-        **(reference if config.reference_hz else {}),
+        **(clock_members() if config.reference_hz else {}),
         **(fine if config.fine_steps else {}),
     }
 
@@ -264,18 +262,8 @@ class IlluminatorCore(wiring.Component):
 
     def _supervise_clock(self, m: Module, registers: RegisterFile, safety: Arming) -> None:
         """Disarm while the clock fails, and count the failures."""
-        # only the falling edge is synchronous; the first one ends the start after configuration
-        before, started = Signal(init=1), Signal()
-        m.d.sync += before.eq(self.clock_failed)
-        with m.If(~self.clock_failed):
-            m.d.sync += started.eq(1)
-        m.submodules.clock_failures = failures = SaturatingCounter(16)
-        m.d.comb += [
-            safety.disarm.eq(self.clock_failed),
-            failures.event.eq(before & ~self.clock_failed & started),
-            registers.faults_set.clock_failed.eq(failures.event),
-            registers.clock_failures.value.eq(failures.value),
-        ]
+        m.d.comb += safety.disarm.eq(self.clock_failed)
+        count_clock_failures(m, registers, self.clock_failed)
 
     def _settings(
         self, m: Module, registers: RegisterFile, generator: PulseGenerator, begin: Signal

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A whole generated top, with models of the vendor's primitives, in Verilator.
 
-Everything in a bitstream of a board is simulated: clocks and PLL, I/O registers, serial line and
-illuminator. A run takes a list of commands and returns the changes of the pins in picoseconds.
+Everything in a bitstream of a board is simulated: clocks and PLL, I/O registers, serial line, and
+an illuminator, or a camera with an external clock and an FT601. A run takes a list of commands and
+returns the changes of the pins in picoseconds.
 """
 
 from __future__ import annotations
@@ -58,6 +59,35 @@ module board (
 endmodule
 """
 
+_CAMERA = """\
+module board (
+    input osc, rx, trigger, external_clock, output led, output tx, clock_out
+);
+    // the chip takes every word; its clock has another frequency than the board's
+    reg ft = 0;
+    wire wr_n;
+    wire [31:0] data;
+    always #{ft_half} ft = ~ft;
+    always @(negedge ft) if (!wr_n) $display("%0d word %0d", $time, data);
+    top top (
+        .{clock}(osc),
+        .uart_0__rx__io(rx),
+        .uart_0__tx__io(tx),
+        .reference_0__io(external_clock),
+        .clock_out_0__io(clock_out),
+        .time_sync_0__io(trigger),
+        .frame_sync_0__io(led),
+        .marker_0__io(8'b0),
+        .missed_0__io(1'b0),
+        .ft601_0__clk__io(ft),
+        .ft601_0__txe_n__io(1'b0),
+        .ft601_0__wr_n__io(wr_n),
+        .ft601_0__data__io(data)
+    );
+endmodule
+"""
+_FT_HALF_PS = 5003
+
 
 class BoardError(HueflightError):
     """A generated top cannot be simulated, or its simulation failed."""
@@ -105,19 +135,23 @@ class BoardRun:
     Attributes
     ----------
     led : list of (int, int)
-        Changes of the LED pins: time in picoseconds, and a bit for each channel.
+        Changes of the LED pins: time in picoseconds, and a bit for each channel; of a camera,
+        those of its frame sync.
     tx : list of (int, int)
         Changes of the serial output.
     end_ps : int
         Time at the end.
     periods : list of (int, int)
         Time, and last period of the clock output in picoseconds, at each ``period``.
+    words : list of (int, int)
+        Words of four bytes that a camera's link took.
     """
 
     led: list[tuple[int, int]]
     tx: list[tuple[int, int]]
     end_ps: int
     periods: list[tuple[int, int]] = field(default_factory=list)
+    words: list[tuple[int, int]] = field(default_factory=list)
 
     def pulses(self, channel: int, start_ps: int, stop_ps: int, /) -> list[tuple[int, int]]:
         """Return when a channel's LED goes on within a window, and for how long, in ps."""
@@ -152,7 +186,8 @@ def compile_board(verilog: Path, /, *, oscillator_hz: float, family: str = "ecp5
     Parameters
     ----------
     verilog : Path
-        ``top.v`` of an illuminator.
+        ``top.v`` of an illuminator, or of a camera as above, whose ``trigger`` is its input
+        ``time_sync``.
     oscillator_hz : float
         Frequency of the board's oscillator.
     family : str
@@ -168,21 +203,12 @@ def compile_board(verilog: Path, /, *, oscillator_hz: float, family: str = "ecp5
     ToolError
         If Verilator is not installed or fails.
     BoardError
-        If there are no models of the family, or the top does not have the pins of an illuminator.
+        If there are no models of the family, or the top does not have the pins of either.
     """
     if family not in FAMILIES:
         raise BoardError(f"{family}: there are models of {', '.join(FAMILIES)}")
     text = verilog.read_text()
-    clock = re.search(r"(?:input|inout) ((?:clk|clock)\w*__io);", text)
-    leds = re.search(r"(?:output|inout) \[(\d+):0\] led_pulse_0__io;", text)
-    if clock is None or leds is None:
-        raise BoardError(f"{verilog}: not an illuminator: it has no clock or no led_pulse pins")
-    more = "".join(
-        f"\n        .{name}_0__io({name}_pin),"
-        for name in ("reference", "clock_out")
-        if f" {name}_0__io;" in text
-    )
-    wrapper = _WRAPPER.format(last=leds[1], clock=clock[1], more=more)
+    wrapper = _wrapper(verilog, text)
     half = round(0.5e12 / oscillator_hz)
     sources = [MODELS / f"{family}.sv", MODELS / "board_main.cc"]
     digest = hashlib.sha256("\0".join((text, wrapper, str(half), *_OPTIONS)).encode())
@@ -232,11 +258,13 @@ def run_board(program: Path, script: BoardScript, /) -> BoardRun:
     )
     if finished.returncode:
         raise BoardError(f"the simulation of {program} failed: {finished.stderr[-500:]}")
-    changes: dict[str, list[tuple[int, int]]] = {"led": [], "tx": [], "period": []}
+    changes: dict[str, list[tuple[int, int]]] = {"led": [], "tx": [], "period": [], "word": []}
     for line in finished.stdout.splitlines():
         time, name, value = line.split()
         changes[name].append((int(time), int(value)))
-    return BoardRun(changes["led"], changes["tx"], script.now_ps, changes["period"])
+    return BoardRun(
+        changes["led"], changes["tx"], script.now_ps, changes["period"], changes["word"]
+    )
 
 
 class BoardProcess:
@@ -323,3 +351,19 @@ class BoardProcess:
         self._samples = samples
         *whole, self._received = self._received.split(b"\0")
         self._messages += [cobs_decode(part) for part in whole if part]
+
+
+def _wrapper(verilog: Path, text: str) -> str:
+    """Return the module around a top, by its pins."""
+    clock = re.search(r"(?:input|inout) ((?:clk|clock)\w*__io);", text)
+    leds = re.search(r"(?:output|inout) \[(\d+):0\] led_pulse_0__io;", text)
+    if clock is None or (leds is None and " ft601_0__wr_n__io;" not in text):
+        raise BoardError(f"{verilog}: not an illuminator: it has no clock or no led_pulse pins")
+    if leds is None:
+        return _CAMERA.format(clock=clock[1], ft_half=_FT_HALF_PS)
+    more = "".join(
+        f"\n        .{name}_0__io({name}_pin),"
+        for name in ("reference", "clock_out")
+        if f" {name}_0__io;" in text
+    )
+    return _WRAPPER.format(last=leds[1], clock=clock[1], more=more)

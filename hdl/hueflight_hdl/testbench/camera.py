@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hueflight_protocol import control
 
 from ..camera.camera import Camera, CameraConfig
+from ..camera.clock import camera_clock_members
 from ..camera.exposure.control import MARKER_BITS
 from ..camera.formatter.reference import frame_beats, pack_beats
 from ..camera.frame_format import FrameFormat
@@ -46,7 +47,7 @@ class CameraTestbench(wiring.Component):
     beat_valid, codes, marks : In
         From it.
     trigger, frame_sync, marker, missed
-        As in `Camera`.
+        As in `Camera`, as are those of the clock in builds with an external one.
     """
 
     def __init__(self, config: CameraConfig) -> None:
@@ -71,6 +72,7 @@ class CameraTestbench(wiring.Component):
                 "frame_sync": Out(1),
                 "marker": In(MARKER_BITS),
                 "missed": In(1),
+                **self._clock_members(),
             }
         )
 
@@ -99,8 +101,15 @@ class CameraTestbench(wiring.Component):
             camera.marker.eq(self.marker),
             camera.missed.eq(self.missed),
         ]
+        for name, member in self._clock_members().items():
+            mine, inner = getattr(self, name), getattr(camera, name)
+            m.d.comb += inner.eq(mine) if member.flow is In else mine.eq(inner)
         self._attach_sensor(m, camera)
         return m
+
+    def _clock_members(self) -> dict[str, Member]:
+        """Return the ports of the clock, where there are any."""
+        return camera_clock_members() if self.config.reference_hz else {}
 
     def _sensor_members(self) -> dict[str, Member]:
         """Return the ports of the sensor."""

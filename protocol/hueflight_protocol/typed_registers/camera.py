@@ -11,7 +11,10 @@ from ..wire import PatternKind
 from .common import (
     Board,
     ClockHz,
+    ClockSource,
+    ClockState,
     Map,
+    ReferenceHz,
     RequestErrors,
     Requests,
     Scratch,
@@ -26,7 +29,10 @@ __all__ = [
     "Board",
     "BufferPeak",
     "Capture",
+    "ClockFailures",
     "ClockHz",
+    "ClockSource",
+    "ClockState",
     "Exposure",
     "Faults",
     "Features",
@@ -59,6 +65,7 @@ __all__ = [
     "ReductionStore",
     "ReductionTables",
     "ReductionWidth",
+    "ReferenceHz",
     "RequestErrors",
     "Requests",
     "RoiCols",
@@ -78,6 +85,8 @@ __all__ = [
     "TestPacket",
     "TestSeed",
     "TestSend",
+    "TimeState",
+    "TimeSync",
     "Timestamp",
     "Trigger",
     "TriggersLost",
@@ -100,6 +109,8 @@ class Features(RegisterValue):
         The synthetic sensor has a scene.
     overlap : int
         The sensor keeps its codes while it exposes: readouts may overlap.
+    external_clock : int
+        The board can run from an external clock.
     """
 
     NAME: ClassVar[str] = "features"
@@ -108,11 +119,13 @@ class Features(RegisterValue):
     SENSOR_MAX: ClassVar[int] = 1
     SCENE_MAX: ClassVar[int] = 1
     OVERLAP_MAX: ClassVar[int] = 1
+    EXTERNAL_CLOCK_MAX: ClassVar[int] = 1
 
     temperature: int = 0
     sensor: int = 0
     scene: int = 0
     overlap: int = 0
+    external_clock: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,6 +177,10 @@ class Faults(RegisterValue):
         The sensor sent fewer or more codes than a frame has.
     saturated : int
         A counter stands at its largest value.
+    clock_failed : int
+        The clock failed, which ended the capture.
+    reference_lost : int
+        The external clock was lost while in use.
     """
 
     NAME: ClassVar[str] = "faults"
@@ -173,12 +190,16 @@ class Faults(RegisterValue):
     TRIGGER_LOST_MAX: ClassVar[int] = 1
     SENSOR_MAX: ClassVar[int] = 1
     SATURATED_MAX: ClassVar[int] = 1
+    CLOCK_FAILED_MAX: ClassVar[int] = 1
+    REFERENCE_LOST_MAX: ClassVar[int] = 1
 
     dropped: int = 0
     aborted: int = 0
     trigger_lost: int = 0
     sensor: int = 0
     saturated: int = 0
+    clock_failed: int = 0
+    reference_lost: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,6 +261,23 @@ class GeometryId(RegisterValue):
     NAME: ClassVar[str] = "geometry_id"
     ADDRESS: ClassVar[int] = 0x0012
     VALUE_MAX: ClassVar[int] = 255
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFailures(RegisterValue):
+    """Failures of the clock (the PLL lost lock) since configuration, saturating.
+
+    Attributes
+    ----------
+    value : int
+        Number.
+    """
+
+    NAME: ClassVar[str] = "clock_failures"
+    ADDRESS: ClassVar[int] = 0x0017
+    VALUE_MAX: ClassVar[int] = 65535
 
     value: int
 
@@ -620,6 +658,52 @@ class Readout(RegisterValue):
     OVERLAP_MAX: ClassVar[int] = 1
 
     overlap: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeSync(RegisterValue):
+    """Common time of several boards, in builds with an external clock.
+
+    Attributes
+    ----------
+    arm : int
+        The next rising edge on the input sets the time stamp to 0.
+    send : int
+        Send such an edge on the output.
+    """
+
+    NAME: ClassVar[str] = "time_sync"
+    ADDRESS: ClassVar[int] = 0x0032
+    ARM_MAX: ClassVar[int] = 1
+    SEND_MAX: ClassVar[int] = 1
+
+    arm: int = 0
+    send: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeState(RegisterValue):
+    """Common time, in builds with an external clock.
+
+    Attributes
+    ----------
+    armed : int
+        An edge is waited for.
+    done : int
+        It has come, and the clock has not failed since.
+    level : int
+        Level of the input.
+    """
+
+    NAME: ClassVar[str] = "time_state"
+    ADDRESS: ClassVar[int] = 0x0033
+    ARMED_MAX: ClassVar[int] = 1
+    DONE_MAX: ClassVar[int] = 1
+    LEVEL_MAX: ClassVar[int] = 1
+
+    armed: int = 0
+    done: int = 0
+    level: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,7 +9,10 @@ from ..register_value import RegisterValue
 from .common import (
     Board,
     ClockHz,
+    ClockSource,
+    ClockState,
     Map,
+    ReferenceHz,
     RequestErrors,
     Requests,
     Scratch,
@@ -233,65 +236,6 @@ class TickFs(RegisterValue):
 
     NAME: ClassVar[str] = "tick_fs"
     ADDRESS: ClassVar[int] = 0x0011
-    VALUE_MAX: ClassVar[int] = 4294967295
-
-    value: int
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSource(RegisterValue):
-    """Clock that is wanted, in builds with an external one; a change disarms the board.
-
-    Attributes
-    ----------
-    external : int
-        Run from the external clock; asks anew when it becomes 1.
-    """
-
-    NAME: ClassVar[str] = "clock_source"
-    ADDRESS: ClassVar[int] = 0x0012
-    EXTERNAL_MAX: ClassVar[int] = 1
-
-    external: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClockState(RegisterValue):
-    """Clock in use, in builds with an external clock.
-
-    Attributes
-    ----------
-    external : int
-        The external clock is in use.
-    present : int
-        There is an external clock of the right frequency.
-    lost : int
-        It was lost while in use; until it is asked for again.
-    """
-
-    NAME: ClassVar[str] = "clock_state"
-    ADDRESS: ClassVar[int] = 0x0013
-    EXTERNAL_MAX: ClassVar[int] = 1
-    PRESENT_MAX: ClassVar[int] = 1
-    LOST_MAX: ClassVar[int] = 1
-
-    external: int = 0
-    present: int = 0
-    lost: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class ReferenceHz(RegisterValue):
-    """Frequency that the external clock must have, in builds with one.
-
-    Attributes
-    ----------
-    value : int
-        Value, in Hz.
-    """
-
-    NAME: ClassVar[str] = "reference_hz"
-    ADDRESS: ClassVar[int] = 0x0014
     VALUE_MAX: ClassVar[int] = 4294967295
 
     value: int

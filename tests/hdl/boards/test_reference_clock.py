@@ -7,7 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from amaranth_boards.ulx3s import ULX3S_85F_Platform
 
+from hueflight_hdl.boards.ecp5_camera import camera_target
 from hueflight_hdl.boards.ecp5_reference import conversion
 from hueflight_hdl.boards.reference_clock import (
     SHORTEST_HALF,
@@ -17,6 +19,7 @@ from hueflight_hdl.boards.reference_clock import (
 )
 from hueflight_hdl.boards.target import Options, TargetError
 from hueflight_hdl.boards.targets import find_target
+from hueflight_hdl.boards.ulx3s import Ft601Camera
 from hueflight_hdl.testbench.cxxrtl import Simulation, simulate
 
 INTERVAL, SETTLE, PATIENCE = 5.0, 30, 200
@@ -158,26 +161,38 @@ def test_the_pll_that_converts_is_within_its_range():
 
 
 @pytest.mark.parametrize(
-    ("board", "hz", "said"),
+    ("design", "board", "hz", "said"),
     [
-        ("ulx3s-85f", 8_000_000, "reference_hz = 8000000: must be from 10000000"),
-        ("ulx3s-85f", 10_000_001, "a common multiple of at most 8e.08 Hz with"),
-        ("hx8k", 10_000_000, "hx8k cannot run from an external clock"),
+        ("illuminator", "ulx3s-85f", 8_000_000, "reference_hz = 8000000: must be from 10000000"),
+        ("illuminator", "ulx3s-85f", 10_000_001, "a common multiple of at most 8e.08 Hz with"),
+        ("illuminator", "hx8k", 10_000_000, "hx8k cannot run from an external clock"),
+        ("camera", "ecpix5-85f", 10_000_001, "a common multiple of at most 8e.08 Hz with"),
+        ("camera", "xem6310", 10_000_000, "xem6310 cannot run from an external clock"),
     ],
 )
-def test_clocks_that_cannot_be_used(board: str, hz: int, said: str):
+def test_clocks_that_cannot_be_used(design: str, board: str, hz: int, said: str):
     with pytest.raises(TargetError, match=said):
-        find_target("illuminator", board, Options(settings={"reference_hz": hz}))
+        find_target(design, board, Options(settings={"reference_hz": hz}))
 
 
-def test_the_registers_are_there_only_with_an_external_clock():
-    plain = find_target("illuminator", "ulx3s-85f").registers
+def test_a_camera_needs_both_pins():
+    options = Options(settings={"reference_hz": 10_000_000})
+    with pytest.raises(TargetError, match="with pins named reference and time_sync, can"):
+        camera_target("bare", ULX3S_85F_Platform, Ft601Camera, options, link_mhz={})
+
+
+@pytest.mark.parametrize(
+    ("design", "its_own"),
+    [("illuminator", set()), ("camera", {"clock_failures", "time_sync", "time_state"})],
+)
+def test_the_registers_are_there_only_with_an_external_clock(design: str, its_own: set[str]):
+    plain = find_target(design, "ulx3s-85f").registers
     with_clock = find_target(
-        "illuminator", "ulx3s-85f", Options(settings={"reference_hz": 25_000_000})
+        design, "ulx3s-85f", Options(settings={"reference_hz": 25_000_000})
     ).registers
     assert plain is not None
     assert with_clock is not None
     more = {register.name for register in with_clock} - {register.name for register in plain}
-    assert more == {"clock_source", "clock_state", "reference_hz"}
+    assert more == {"clock_source", "clock_state", "reference_hz"} | its_own
     assert with_clock["reference_hz"].reset == 25_000_000
     assert plain.fingerprint != with_clock.fingerprint

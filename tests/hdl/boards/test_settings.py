@@ -46,6 +46,7 @@ CHOSEN = {
         "buffer_words": 1024,
         "admit_words": 128,
         "serial": 5,
+        "reference_hz": 25_000_000,
     },
 }
 
@@ -71,6 +72,7 @@ def test_every_setting_can_be_chosen(design):
         config = camera_config(options)
         assert (config.form.rows, config.form.cols, config.form.lanes) == (64, 32, 4)
         assert config.scene is not None
+        assert config.registers()["reference_hz"].reset == 25_000_000
 
 
 def test_a_design_file_is_written_and_read_again(tmp_path):

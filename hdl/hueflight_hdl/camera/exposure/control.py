@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Module, Mux, Signal, Value
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out
@@ -36,6 +36,11 @@ class ExposureControl(wiring.Component):
     A trigger begins each period of an exposure. The frame sync begins with the first one and
     makes the illuminator take its next step; the step marker is sampled when the exposure ends.
 
+    Parameters
+    ----------
+    time_sync : bool
+        The device clock can be set to 0.
+
     Members
     -------
     settings : In
@@ -67,13 +72,16 @@ class ExposureControl(wiring.Component):
         Number of the present frame in the capture; after its end, the number of its frames.
     now : Out(64)
         Device clock.
+    zero : In(1)
+        It is 0 in the next clock; only with `time_sync`.
     timestamp, periods, step : Out
         Of the exposure that is read.
     marker : Out(16)
         On the pins now.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, time_sync: bool = False) -> None:
+        self.time_sync = time_sync
         super().__init__(
             {
                 "settings": In(EXPOSURE_LAYOUT),
@@ -99,6 +107,7 @@ class ExposureControl(wiring.Component):
                 "missed": Out(1),
                 "frame": Out(64),
                 "now": Out(64),
+                **({"zero": In(1)} if time_sync else {}),
                 "timestamp": Out(64),
                 "periods": Out(32),
                 "step": Out(MARKER_BITS),
@@ -109,7 +118,10 @@ class ExposureControl(wiring.Component):
     def elaborate(self, platform: object) -> Module:
         m = Module()
         settings = self.settings
-        m.d.sync += self.now.eq(self.now + 1)
+        following: Value = self.now + 1
+        if self.time_sync:
+            following = Mux(self.zero, 0, following)
+        m.d.sync += self.now.eq(following)
         self._inputs(m)
 
         # periods follow each other without end; an exposure begins with one
@@ -171,7 +183,7 @@ class ExposureControl(wiring.Component):
                     m.d.sync += [
                         left.eq(settings.periods),
                         periods.eq(settings.periods),
-                        timestamp.eq(self.now + 1),
+                        timestamp.eq(following),
                         self.exposing.eq(settings.periods != 0),
                     ]
                     m.next = "EXPOSE"

@@ -11,7 +11,8 @@
 //   loop CHANNEL PS lead an LED's pin to the trigger input, which it reaches PS picoseconds later
 //   flush 0         print a line "now", and let the reader have all lines
 //
-// Each change is a line: time in picoseconds, "led", "tx", "period" or "now", value.
+// Each change is a line: time in picoseconds, "led", "tx", "period" or "now", value. The module
+// around a camera prints lines of its own, "word".
 #include <algorithm>
 #include <cstdint>
 #include <cstdio>

@@ -12,11 +12,15 @@ from cyclopts import Parameter
 
 from hueflight.cli.exit_codes import FAILED
 from hueflight.cli.output import error_console, print_notice, show
+from hueflight.devices.built_in_rigs import open_usb_camera
+from hueflight.devices.camera import Camera
 from hueflight.devices.clock_choice import ClockName
 from hueflight.devices.errors import DeviceError
-from hueflight.devices.illuminator import open_illuminator
+from hueflight.devices.illuminator import Illuminator, open_illuminator
 from hueflight.devices.selftest import WORDS, SelfTestResult, run_selftest
 from hueflight.devices.skew import measure_skew
+
+_USB = "usb:"
 
 
 def board(
@@ -34,20 +38,21 @@ def board(
     record: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Test an illuminator on the bench, choose its clock, or measure the skew of its LEDs.
+    """Test an illuminator on the bench, choose a board's clock, or measure the skew of LEDs.
 
     The test covers clock, line, each LED, and the watchdog. LEDs fire one after another, for 10 ns
     in every 82 µs or longer. The exit code is 1 if a test fails. The clock is the board's
-    oscillator or an external one; a change disarms the board. For the skew, the output of one LED
-    after another is led to the trigger input, by a wire or by its light on a photodiode; this needs
-    gateware with fine delays.
+    oscillator or an external one; a change disarms an illuminator. For the skew, the output of one
+    LED after another is led to the trigger input, by a wire or by its light on a photodiode; this
+    needs gateware with fine delays.
 
     Parameters
     ----------
     action : str
         What to do: selftest, clock, or skew.
     port : str
-        Serial port of the illuminator, such as /dev/ttyUSB0.
+        Serial port of the illuminator, such as /dev/ttyUSB0; for its clock, also a camera: usb: or
+        usb:SERIAL.
     source : {"internal", "external"}, optional
         Clock to run from, with the action clock; by default the clock is only shown.
     channel : list of int, optional
@@ -110,11 +115,16 @@ def _clock(
     port: str, source: ClockName | None, *, baud: int | None, record: Path | None, json: bool
 ) -> int:
     """Choose a clock, or only show which one is in use."""
-    illuminator = open_illuminator(port, baud=baud, record=record)
+    if port.startswith(_USB):
+        if baud is not None or record is not None:
+            raise DeviceError(f"{port}: --baud and --record belong to serial ports; leave them out")
+        device: Camera | Illuminator = open_usb_camera(port.removeprefix(_USB))
+    else:
+        device = open_illuminator(port, baud=baud, record=record)
     try:
-        state = illuminator.clock() if source is None else illuminator.choose_clock(source)
+        state = device.clock() if source is None else device.choose_clock(source)
     finally:
-        illuminator.close()
+        device.close()
     show(f"Clock of {port}", asdict(state), json_wanted=json)
     return 0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
@@ -44,18 +45,34 @@ def usb_camera(address: RigAddress, instrument: Instrument, /) -> RigPart:
         If the address has an option.
     """
     address.convert_options()
+    return RigPart(open_camera=partial(open_usb_camera, address.path))
 
-    def open_part() -> Camera:
-        try:
-            from hueflight.devices.transports.usb import open_camera
-        except ImportError as error:
-            raise DeviceError(
-                f"cameras need the package {error.name}: install hueflight[devices], or use "
-                "--simulate"
-            ) from None
-        return open_camera(address.path or None)
 
-    return RigPart(open_camera=open_part)
+def open_usb_camera(serial: str, /) -> Camera:
+    """Open a camera on USB.
+
+    Parameters
+    ----------
+    serial : str
+        Its serial number, empty for the only camera there is.
+
+    Returns
+    -------
+    Camera
+        The camera.
+
+    Raises
+    ------
+    DeviceError
+        If there is none, or a package is missing.
+    """
+    try:
+        from hueflight.devices.transports.usb import open_camera
+    except ImportError as error:
+        raise DeviceError(
+            f"cameras need the package {error.name}: install hueflight[devices], or use --simulate"
+        ) from None
+    return open_camera(serial or None)
 
 
 def serial_illuminator(address: RigAddress, instrument: Instrument, /) -> RigPart:

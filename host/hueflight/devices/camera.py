@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hueflight.devices import clock_choice
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.camera_controls import CameraControls, CameraTiming
 from hueflight.devices.camera_settings import CameraSettings
@@ -126,14 +128,17 @@ class Camera:
         self.board.check_map()
 
     def _map(self, probe: Board, geometry: int) -> RegisterMap:
-        """Register map of the build: with the reduction to sums, if the board says so."""
+        """Register map of the build: with what a build can have besides, if the board says so."""
         build = partial(
             camera_map, rows=self.rows, cols=self.cols, code_bits=self.code_bits,
             lanes=self.lanes, run=self.run, geometry=geometry, clock_hz=self.identity.clock_hz,
         )  # fmt: skip
-        plain, reducing = build(), build(reduction=ReductionRoom())
         told = probe.read(registers.Map).value
-        return reducing if told == reducing.fingerprint else plain
+        builds = [
+            build(reduction=reduction, external_clock=external_clock)
+            for reduction, external_clock in product((None, ReductionRoom()), (False, True))
+        ]
+        return next((made for made in builds if made.fingerprint == told), builds[0])
 
     @property
     def can_reduce(self) -> bool:
@@ -363,6 +368,50 @@ class Camera:
             True if the camera is in a run.
         """
         return bool(self.board.read(registers.State).running)
+
+    def clock(self) -> clock_choice.ClockState:
+        """Read which clock the camera runs from.
+
+        Returns
+        -------
+        ClockState
+            The clock in use, and whether there is an external one.
+        """
+        return clock_choice.read_clock(self.board)
+
+    def choose_clock(
+        self, source: clock_choice.ClockName, /, *, timeout_s: float = 0.5
+    ) -> clock_choice.ClockState:
+        """Run from the board's oscillator or from an external clock, between two runs.
+
+        A change stops the camera for some milliseconds, and ends a common time. Afterwards the
+        fault ``clock_failed``, which such a change sets, is cleared.
+
+        Parameters
+        ----------
+        source : {"internal", "external"}
+            The clock.
+        timeout_s : float
+            Longest time for the change, in seconds.
+
+        Returns
+        -------
+        ClockState
+            State after the change.
+
+        Raises
+        ------
+        DeviceError
+            If a run is on, the board has no external clock, none of the right frequency is there,
+            or it fails during the change.
+        """
+        if self.running():
+            raise DeviceError(
+                f"the camera at {self.identity.place} is in a run, which a change of the clock "
+                "would end: stop it first"
+            )
+        fault = registers.Faults(clock_failed=1)
+        return clock_choice.choose_clock(self.board, source, fault, timeout_s=timeout_s)
 
     def close(self) -> None:
         """Release stream and control; the run goes on if nobody stopped it."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which clock an illuminator runs from: its own oscillator, or an external one."""
+"""Which clock a board runs from: its own oscillator, or an external one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Literal
 
 from hueflight.devices.board import Board
 from hueflight.devices.errors import DeviceError, DeviceTimeoutError
-from hueflight_protocol.typed_registers import illuminator as registers
+from hueflight_protocol import RegisterValue
+from hueflight_protocol.typed_registers import common as registers
 
 ClockName = Literal["internal", "external"]
 _PAUSE_S = 0.005
@@ -17,7 +18,7 @@ _PAUSE_S = 0.005
 
 @dataclass(frozen=True)
 class ClockState:
-    """The clock of an illuminator.
+    """The clock of a board.
 
     Attributes
     ----------
@@ -35,24 +36,6 @@ class ClockState:
     reference_hz: int | None
     present: bool
     lost: bool
-
-
-def read_reference_hz(board: Board, /) -> int | None:
-    """Read the frequency of a board's external clock.
-
-    Parameters
-    ----------
-    board : Board
-        The board, with the map of a build that has one.
-
-    Returns
-    -------
-    int or None
-        Frequency in hertz, None if the build has no external clock.
-    """
-    if not board.read(registers.Features).external_clock:
-        return None
-    return board.read(registers.ReferenceHz).value
 
 
 def read_clock(board: Board, /) -> ClockState:
@@ -79,7 +62,9 @@ def read_clock(board: Board, /) -> ClockState:
     )
 
 
-def choose_clock(board: Board, source: ClockName, /, *, timeout_s: float) -> ClockState:
+def choose_clock(
+    board: Board, source: ClockName, fault: RegisterValue, /, *, timeout_s: float
+) -> ClockState:
     """Change the clock of a board; see `Illuminator.choose_clock`.
 
     Parameters
@@ -88,6 +73,8 @@ def choose_clock(board: Board, source: ClockName, /, *, timeout_s: float) -> Clo
         The board, with the map of its build.
     source : {"internal", "external"}
         The clock.
+    fault : RegisterValue
+        The fault that a change sets, to be cleared.
     timeout_s : float
         Longest time for the change, in seconds.
 
@@ -133,5 +120,5 @@ def choose_clock(board: Board, source: ClockName, /, *, timeout_s: float) -> Clo
                 f"the board at {place} still runs from its {before.source} clock after "
                 f"{timeout_s} s: check the external clock and choose it again"
             )
-    board.write(registers.Faults(clock_failed=1))
+    board.write(fault)
     return state

@@ -85,9 +85,9 @@ class Illuminator:
         probe = Board(transport, largest, timeout_s=timeout_s)
         self.identity: BoardIdentity = probe.identify(BOARD)
         size, tick = probe.read_together(registers.Capacity, registers.TickFs)
-        reference_hz = clock_choice.read_reference_hz(probe)
-        fine = None
-        if probe.read(registers.Features).fine_delay:
+        features = probe.read(registers.Features)
+        external_clock, fine = bool(features.external_clock), None
+        if features.fine_delay:
             fine = probe.read(registers.FineStep)
         self.board = Board(
             transport,
@@ -98,8 +98,7 @@ class Illuminator:
                 lanes=size.lanes,
                 tick_fs=tick.value,
                 clock_hz=self.identity.clock_hz,
-                external_clock=reference_hz is not None,
-                reference_hz=reference_hz or 0,
+                external_clock=external_clock,
                 fine_steps=0 if fine is None else fine.steps,
                 fine_step_fs=FINE_STEP_FS if fine is None else fine.step_fs,
             ),
@@ -501,7 +500,8 @@ class Illuminator:
             If the board has no external clock, none of the right frequency is there, or it fails
             during the change.
         """
-        return clock_choice.choose_clock(self.board, source, timeout_s=timeout_s)
+        fault = registers.Faults(clock_failed=1)
+        return clock_choice.choose_clock(self.board, source, fault, timeout_s=timeout_s)
 
     # -- what the board reports ---------------------------------------------------------------
 

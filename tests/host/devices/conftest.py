@@ -12,19 +12,98 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hueflight_protocol import CobsDecoder, Register, RegisterFile, illuminator_map, serial_frame
+from hueflight.devices.camera import Camera
+from hueflight.devices.transports.stream import Stream
+from hueflight.emulation.simulated_transport import SimulatedTransport
+from hueflight_protocol import (
+    CobsDecoder,
+    Register,
+    RegisterFile,
+    camera_map,
+    illuminator_map,
+    serial_frame,
+)
 from hueflight_protocol.control import MAX_COBS_BYTES
 from hueflight_protocol.illuminator_map import ARM_KEY
 
 Spoil = Callable[[bytes], bytes]
 
 
-class SoftwareIlluminator:
+class SoftwareClock:
+    """The choice of a board's clock in its registers, as far as a driver sees."""
+
+    def __init__(self, registers: RegisterFile) -> None:
+        self.registers = registers
+        self.dies_on_change = False
+
+    def connect_clock(self, present: bool) -> None:
+        """Connect an external clock, or take it away: the board then uses its own."""
+        state = self.registers.registers["clock_state"].decode(self.registers.get("clock_state"))
+        lost = int((not present and state["external"]) or state["lost"])
+        self.registers.set("clock_state", present=int(present), external=0, lost=lost)
+        if lost:
+            self.registers.set("faults", clock_failed=1, reference_lost=1)
+            self.pause()
+
+    def change_clock(self, word: int) -> None:
+        """Do what a write to ``clock_source`` does."""
+        state = self.registers.registers["clock_state"].decode(self.registers.get("clock_state"))
+        wanted = word & state["present"]
+        if wanted != state["external"] and not self.dies_on_change:
+            self.registers.set("clock_state", external=wanted, lost=0)
+            self.registers.set("faults", clock_failed=1)
+            self.pause()
+
+    def pause(self) -> None:
+        """Do what a failure of the clock does."""
+
+
+class SoftwareCamera(SoftwareClock):
+    """Registers of a camera with an external clock, as far as a driver sees."""
+
+    def __init__(self) -> None:
+        registers = camera_map(external_clock=True, reference_hz=10_000_000)
+        super().__init__(RegisterFile(registers, on_write=self._wrote))
+        self.edges: list[SoftwareCamera] = []
+
+    def camera(self) -> Camera:
+        """Open a driver."""
+
+        def open_stream(size: int) -> Stream:
+            raise AssertionError("it sends no packets")
+
+        return Camera(SimulatedTransport(self.registers.handle, "test line"), open_stream)
+
+    def pause(self) -> None:
+        """End the run and the common time."""
+        self.registers.set("state", running=0)
+        self.registers.set("time_state", armed=0, done=0)
+
+    def edge(self) -> None:
+        """Get an edge at the input."""
+        state = self.registers.registers["time_state"].decode(self.registers.get("time_state"))
+        if state["armed"]:
+            self.registers.set("time_state", armed=0, done=1)
+
+    def _wrote(self, register: Register, indices: tuple[int, ...], word: int) -> None:
+        match register.name:
+            case "clock_source":
+                self.change_clock(word)
+            case "run":
+                self.registers.set("state", running=word & 1)
+            case "time_sync" if word & 1:
+                self.registers.set("time_state", armed=1, done=0)
+            case "time_sync" if word & 2:
+                for camera in self.edges:
+                    camera.edge()
+
+
+class SoftwareIlluminator(SoftwareClock):
     """Registers that act as the gateware's do, as far as a driver sees."""
 
     def __init__(self, **size: int) -> None:
-        self.registers = RegisterFile(
-            illuminator_map(**size), on_write=self._wrote, refuses=self._refuses
+        super().__init__(
+            RegisterFile(illuminator_map(**size), on_write=self._wrote, refuses=self._refuses)
         )
         for channel in range(size.get("channels", 9)):
             self.registers.set("limit", channel, on_ticks=80, burst_ticks=80, duty_divisor=8)
@@ -35,7 +114,6 @@ class SoftwareIlluminator:
         ):
             if size.get(size_of):
                 self.registers.set("features", **{feature: 1})
-        self.dies_on_change = False
 
     def state(self, field: str) -> int:
         return self.registers.registers["state"].decode(self.registers.get("state"))[field]
@@ -52,7 +130,7 @@ class SoftwareIlluminator:
             case "arm":
                 file.set("state", armed=int(word == ARM_KEY and file.get("watchdog_ms") > 0))
             case "clock_source":
-                self._change_clock(word)
+                self.change_clock(word)
             case "sequencer_control" if word & 3:
                 file.set("state", sequencing=word & 1)
             case "trigger_now":
@@ -62,21 +140,9 @@ class SoftwareIlluminator:
                 for name in ("triggers_seen", "triggers_served", "triggers_ignored"):
                     file.set(name, value=0)
 
-    def connect_clock(self, present: bool) -> None:
-        """Connect an external clock, or take it away: the board then uses its own."""
-        state = self.registers.registers["clock_state"].decode(self.registers.get("clock_state"))
-        lost = int((not present and state["external"]) or state["lost"])
-        self.registers.set("clock_state", present=int(present), external=0, lost=lost)
-        if lost:
-            self.registers.set("faults", clock_failed=1, reference_lost=1)
-
-    def _change_clock(self, word: int) -> None:
-        state = self.registers.registers["clock_state"].decode(self.registers.get("clock_state"))
-        wanted = word & state["present"]
-        if wanted != state["external"] and not self.dies_on_change:
-            self.registers.set("clock_state", external=wanted, lost=0)
-            self.registers.set("faults", clock_failed=1)
-            self.registers.set("state", armed=0)
+    def pause(self) -> None:
+        """Disarm the board."""
+        self.registers.set("state", armed=0)
 
 
 class PtyBoard:

@@ -17,6 +17,7 @@ from hueflight.devices.camera import Camera
 from hueflight.devices.errors import DeviceError, DeviceGoneError, DeviceTimeoutError
 from hueflight.devices.rig import Rig
 from hueflight.errors import HueflightError
+from hueflight.recording.sums_reader import CLOCK
 from hueflight_protocol.typed_registers.camera import Capture
 
 IDLE_S = 0.05
@@ -114,6 +115,8 @@ def _begin(session: Session, rig: Rig, plan: RunPlan, future: Future[RunResult] 
     rig.illumination.prepare(plan.kind, plan.frames)
     if plan.path is not None:
         about = {"capture": plan.kind, "simulated": str(rig.simulated).lower()}
+        if reduction is not None and session.timing is not None:
+            about[CLOCK] = str(session.timing.clock_hz)
         session.recorder = Recorder(
             replace(
                 plan,

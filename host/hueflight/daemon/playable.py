@@ -19,9 +19,17 @@ from hueflight.importers.captures import read_capture
 from hueflight.importers.images import is_image
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
-from hueflight.recording import holds_recorded_sums, open_recording
+from hueflight.recording import (
+    RecordedSums,
+    Recording,
+    SumsReader,
+    SumsTotal,
+    holds_recorded_sums,
+    open_recording,
+)
 
 MOST_FRAMES = 200_000  #: that are counted for one picture
+MOST_PICTURES = 500  #: of sums that are added up for one picture
 NEEDED = ("depth_std", "reflectance_std", "photons")  #: of an image, besides what every image has
 _NOTHING = np.empty(0, np.uint16)
 
@@ -44,12 +52,15 @@ class Piece:
         Frames in the histogram.
     unix_s : float
         Time of its end, in seconds since 1970; 0 where it is not known.
+    sums : RecordedSums or None
+        Sums instead of counts.
     """
 
     histogram: Counts
     image: xr.Dataset | None
     frames: int | NDArray[np.int64]
     unix_s: float = 0.0
+    sums: RecordedSums | None = None
 
 
 class Playable(Protocol):
@@ -65,8 +76,10 @@ class Playable(Protocol):
         Instrument that made it.
     length : int
         Number of frames of a recording, otherwise of pictures.
+    unit : str
+        What is counted: ``"frames"`` or, in recordings of sums and all else, ``"pictures"``.
     seconds : float or None
-        Time from the first frame of a recording to the last; None for anything else.
+        Time from the first frame or picture of a recording to the last; None for anything else.
     simulated : bool
         True if its photons are simulated.
     calibration : str
@@ -77,6 +90,7 @@ class Playable(Protocol):
     capture: str
     instrument: Instrument
     length: int
+    unit: str
     seconds: float | None
     simulated: bool
     calibration: str
@@ -103,24 +117,18 @@ class PlayedRecording:
 
     Parameters
     ----------
-    path : Path
-        First file of the recording.
+    recording : Recording
+        The open recording.
     """
 
-    kind = "recording"
+    kind, unit = "recording", "frames"
 
-    def __init__(self, path: Path, /) -> None:
-        self._recording = open_recording(path)
-        info, notes = self._recording.info(), self._recording.metadata
-        if not info.frames and holds_recorded_sums(self._recording):
-            self._recording.close()
-            raise PlaybackError(
-                f"{path.stem} holds sums, which have no single frames to play: make an image with "
-                "'hueflight reconstruct' in the folder of results, which can be shown"
-            )
+    def __init__(self, recording: Recording, /) -> None:
+        self._recording = recording
+        info, notes = recording.info(), recording.metadata
         self.capture, self.calibration = notes.get("capture", "scene"), notes.get("calibration", "")
         self.simulated = notes.get("simulated", "").lower() == "true"
-        self.instrument = self._recording.instrument
+        self.instrument = recording.instrument
         self.length, self.seconds = info.frames, info.seconds
         self._began_s = datetime.fromisoformat(info.started).timestamp()
         self._start = self._stop = 0
@@ -152,6 +160,59 @@ class PlayedRecording:
         self._recording.close()
 
 
+class PlayedSums:
+    """A recording of sums, whose pictures are added up as they are asked for.
+
+    Where a piece begins with the one before, only the pictures that are new are added.
+
+    Parameters
+    ----------
+    recording : Recording
+        The open recording.
+    """
+
+    kind, unit = "recording", "pictures"
+
+    def __init__(self, recording: Recording, /) -> None:
+        self._recording, self._reader = recording, SumsReader(recording)
+        info, notes = recording.info(), recording.metadata
+        self.capture, self.calibration = notes.get("capture", "scene"), notes.get("calibration", "")
+        self.simulated = notes.get("simulated", "").lower() == "true"
+        self.instrument = recording.instrument
+        self.length: int = self._reader.pictures
+        self.seconds: float | None = self._reader.seconds
+        self._began_s = datetime.fromisoformat(info.started).timestamp()
+        self._start = self._stop = 0
+        self._total: SumsTotal | None = None
+
+    def piece(self, start: int, stop: int, /) -> Piece:
+        """Return the sum of the pictures from `start` to before `stop`."""
+        if not 0 <= start < stop <= self.length:
+            raise PlaybackError(
+                f"pictures {start} to {stop}: the recording has pictures 0 to {self.length}"
+            )
+        total = self._total
+        if total is None or self._start != start or self._stop > stop:
+            total = SumsTotal(self._reader.description, where=str(self._recording.path))
+            self._stop = start
+        self._total = None  # until all are added, after which it may go on
+        if stop - self._stop > MOST_PICTURES:
+            raise PlaybackError(
+                f"{stop - self._stop:,} pictures would have to be added for this picture, and at "
+                f"most {MOST_PICTURES:,} are: take fewer pictures together"
+            )
+        self._reader.add_to(total, self._stop, stop)
+        self._start, self._stop, self._total = start, stop, total
+        sums = total.finish()
+        share = stop / self.length
+        ended_s = self._began_s + share * (self.seconds or 0.0)
+        return Piece(_NOTHING, None, sums.frames, ended_s, sums)
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._recording.close()
+
+
 class PlayedCounts:
     """Counts of any camera, which are one picture.
 
@@ -163,7 +224,7 @@ class PlayedCounts:
         Instrument that made them where the file does not say so.
     """
 
-    kind, capture, length = "counts", "scene", 1
+    kind, capture, length, unit = "counts", "scene", 1, "pictures"
     seconds: float | None = None
     simulated, calibration = False, ""
 
@@ -196,6 +257,7 @@ class PlayedImages:
     """
 
     kind, capture, simulated, calibration = "image", "scene", False, ""
+    unit = "pictures"
     seconds: float | None = None
 
     def __init__(self, path: Path, /) -> None:
@@ -226,6 +288,34 @@ class PlayedImages:
 
     def close(self) -> None:
         """Do nothing: the images are in memory."""
+
+
+def open_played(path: Path, /) -> Playable:
+    """Open a recording of codes or of sums.
+
+    Parameters
+    ----------
+    path : Path
+        First file of the recording.
+
+    Returns
+    -------
+    Playable
+        The open recording.
+
+    Raises
+    ------
+    HueflightError
+        If it can't be read.
+    """
+    recording = open_recording(path)
+    try:
+        if not recording.frames and holds_recorded_sums(recording):
+            return PlayedSums(recording)
+        return PlayedRecording(recording)
+    except BaseException:
+        recording.close()
+        raise
 
 
 def open_result(path: Path, instrument: Instrument, /) -> Playable:

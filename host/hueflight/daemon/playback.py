@@ -27,7 +27,7 @@ from hueflight.color.live_color import LiveColor
 from hueflight.daemon.calibration_job import CALIBRATION_NAME
 from hueflight.daemon.picture import Picture, count_photons
 from hueflight.daemon.pixel import inspect
-from hueflight.daemon.playable import Playable, PlaybackError, PlayedRecording, open_result
+from hueflight.daemon.playable import Piece, Playable, PlaybackError, open_played, open_result
 from hueflight.daemon.recordings_folder import (
     NAME,
     RecordingMissingError,
@@ -39,6 +39,7 @@ from hueflight.daemon.status import describe_instrument
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.entry_point import reconstruct
+from hueflight.reconstruction.sums.recorded import reconstruct_recorded_sums
 from hueflight.reconstruction.video import Video
 
 MOST_WAITING = 8  #: requests that are answered or wait; others are refused
@@ -114,7 +115,8 @@ class Playback:
         name : str
             Name of a recording, or of a result with its ending.
         start, stop : int
-            First frame, and the frame after the last one; or the number of a picture and the next.
+            First frame, and the frame after the last one; of a recording of sums, pictures; of a
+            result, the number of a picture and the next.
 
         Returns
         -------
@@ -209,7 +211,7 @@ class Playback:
 
     def _opening(self, name: str, path: Path, version: tuple[Any, ...]) -> _Opened:
         file: Playable
-        file = open_result(path, self._instrument) if "." in name else PlayedRecording(path)
+        file = open_result(path, self._instrument) if "." in name else open_played(path)
         offered = self._calibration_in_use()
         named = self._named_calibration(file.calibration)
         chosen, label = (named[1], named[0]) if named else (offered, "the one in use")
@@ -262,6 +264,7 @@ class _Opened:
             "kind": file.kind,
             "capture": file.capture,
             "length": file.length,
+            "unit": file.unit,
             "seconds": file.seconds,
             "simulated": file.simulated,
             "calibration": self._calibration_name,
@@ -278,8 +281,8 @@ class _Opened:
             piece = self.file.piece(start, stop)
             image = piece.image
             if image is None:
-                image = self._reconstruct(piece.histogram, piece.frames, method)
-            photons = count_photons(piece.histogram, image, self.file.instrument, piece.frames)
+                image = self._reconstruct(piece, method)
+            photons = _photons_of(piece, image, self.file.instrument)
         frames = np.broadcast_to(np.asarray(piece.frames, np.int64), photons.shape)
         ready_s = time.monotonic()
         received_s = ready_s - (time.time() - piece.unix_s)
@@ -299,16 +302,26 @@ class _Opened:
         self._latest = wanted, picture
         return picture
 
-    def _reconstruct(
-        self, histogram: NDArray[Any], frames: int | NDArray[np.int64], method: str
-    ) -> xr.Dataset | None:
+    def _reconstruct(self, piece: Piece, method: str) -> xr.Dataset | None:
         calibration = self.calibration
         if calibration is None or self.file.capture not in ("scene", "reference"):
             return None
-        known = None if self.file.instrument.sensor.reports_empty else frames
+        if piece.sums is not None:
+            return (
+                reconstruct_recorded_sums(piece.sums, calibration) if piece.sums.pictures else None
+            )
+        known = None if self.file.instrument.sensor.reports_empty else piece.frames
         if method == "joint":  # as live pictures are made
-            return Video(calibration, change_sigma=0).next(histogram, frames=known)
-        return reconstruct(histogram, calibration, method=method, frames=known)
+            return Video(calibration, change_sigma=0).next(piece.histogram, frames=known)
+        return reconstruct(piece.histogram, calibration, method=method, frames=known)
+
+
+def _photons_of(
+    piece: Piece, image: xr.Dataset | None, instrument: Instrument
+) -> NDArray[np.integer]:
+    if piece.sums is not None:
+        return piece.sums.values[..., 0].astype(np.int64)  # the first sum counts photons
+    return count_photons(piece.histogram, image, instrument, piece.frames)
 
 
 @contextmanager

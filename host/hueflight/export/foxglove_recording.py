@@ -38,7 +38,8 @@ from hueflight.export.foxglove_messages import FoxgloveMessages, Topic
 from hueflight.files import staged
 from hueflight.ingest.accumulator import Counts
 from hueflight.reconstruction import reconstruct
-from hueflight.recording import open_recording
+from hueflight.reconstruction.sums.recorded import reconstruct_recorded_sums
+from hueflight.recording import SumsReader, holds_recorded_sums, open_recording
 from hueflight.recording.layout import CHANNEL, segment_files, segment_path
 from hueflight.recording.reader import Recording
 from hueflight.recording.records import (
@@ -81,7 +82,8 @@ def add_foxglove_channels(
     calibration : Calibration
         Calibration with which the pictures are reconstructed.
     every : int, optional
-        Frames from one picture to the next; by default as many as are behind each.
+        Frames from one picture to the next; by default as many as are behind each. In a recording
+        of sums, both numbers are rounded up to those of whole pictures of sums.
     frames : int
         Frames behind each picture, the newest ones at its time.
     enrich : callable
@@ -107,17 +109,21 @@ def add_foxglove_channels(
     source, target = Path(recording), Path(path)
     with open_recording(source) as opened, staged(target, overwrite=overwrite) as partial:
         calibration.require(opened.instrument)
-        if opened.frames < frames:
-            raise ExportError(
-                f"{source} has {opened.frames} frames: fewer than the {frames} of one picture"
-            )
+        sums = _sums_of(opened)
+        held = opened.frames if sums is None else sums.pictures * sums.picture_frames
+        if held < frames:
+            raise ExportError(f"{source} has {held} frames: fewer than the {frames} of one picture")
         made = FoxgloveMessages(opened.instrument)
         for number, file in enumerate(segment_files(source)[0]):
             segment = SegmentReader(file)
             try:
                 pictures = (
                     (time_ns, _topics(made, enrich(image), time_ns))
-                    for time_ns, image in _pictures(opened, segment, calibration, step, frames)
+                    for time_ns, image in (
+                        _pictures(opened, segment, calibration, step, frames)
+                        if sums is None
+                        else _pictures_of_sums(opened, sums, number, calibration, step, frames)
+                    )
                 )
                 segment_path(partial, number).write_bytes(_with_pictures(segment, pictures))
             finally:
@@ -140,6 +146,33 @@ def _pictures(
         image = describe(reconstruct(histogram, calibration), calibration)
         chunk = int(np.searchsorted(segment.index["first"], end - 1, side="right")) - 1
         yield int(segment.index["log_time"][chunk]), image
+
+
+def _sums_of(recording: Recording) -> SumsReader | None:
+    """The pictures of a recording that holds sums and no codes."""
+    if recording.frames or not holds_recorded_sums(recording):
+        return None
+    return SumsReader(recording)
+
+
+def _pictures_of_sums(
+    recording: Recording,
+    sums: SumsReader,
+    segment: int,
+    calibration: Calibration,
+    step: int,
+    frames: int,
+) -> Iterator[tuple[int, xr.Dataset]]:
+    """The same of a recording of sums, from as many whole pictures of sums as hold the frames."""
+    together, apart = (-(-number // sums.picture_frames) for number in (frames, step))
+    for end in range(together, sums.pictures + 1, apart):
+        chunk = sums.chunk_of(end - 1)
+        if recording.segment_of(chunk) != segment:
+            continue
+        added = sums.read(end - together, end)
+        if added.pictures:
+            image = describe(reconstruct_recorded_sums(added, calibration), calibration)
+            yield int(recording.chunks["log_time"][chunk]), image
 
 
 def _topics(made: FoxgloveMessages, image: xr.Dataset, time_ns: int) -> dict[str, Topic]:

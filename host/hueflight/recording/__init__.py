@@ -22,10 +22,12 @@ from hueflight.recording.reader import Recording, RecordingInfo, open_recording
 from hueflight.recording.recorded_sums import (
     RecordedSums,
     SumsDescription,
+    SumsTotal,
     holds_recorded_sums,
     read_sums,
 )
 from hueflight.recording.recovery import Outcome, Recovery, recover
+from hueflight.recording.sums_reader import SumsReader
 from hueflight.recording.writer import RecordingWriter
 
 __all__ = [
@@ -36,6 +38,8 @@ __all__ = [
     "RecordingWriter",
     "Recovery",
     "SumsDescription",
+    "SumsReader",
+    "SumsTotal",
     "finish_recording",
     "holds_recorded_sums",
     "open_recording",

@@ -251,16 +251,62 @@ class Recording:
             places = buffer.scanner.places[: buffer.scanner.frames].tolist()
             yield from (bytes(buffer.data[offset : offset + size]) for offset, size in places)
 
-    def raw(self) -> Iterator[bytes]:
+    @property
+    def chunks(self) -> NDArray[np.void]:
+        """Place, frames and time of each chunk, as `hueflight.recording.layout.FRAME_INDEX`."""
+        return self._index
+
+    def segment_of(self, chunk: int, /) -> int:
+        """Return the number of the file that holds a chunk.
+
+        Parameters
+        ----------
+        chunk : int
+            Number of the chunk.
+
+        Returns
+        -------
+        int
+            Number of the file, from 0.
+        """
+        return int(self._file[chunk])
+
+    def raw(self, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
         """Iterate over everything that was received: all packets, and the bytes between them.
+
+        Parameters
+        ----------
+        start : int
+            First chunk.
+        stop : int, optional
+            Chunk after the last one; by default the end of the recording.
 
         Yields
         ------
         bytes
-            The next piece of the stream.
+            The next piece of the stream, a chunk.
         """
-        for entry, file in zip(self._index, self._file, strict=True):
+        for entry, file in zip(self._index[start:stop], self._file[start:stop], strict=True):
             yield self._segments[file].read(int(entry["offset"]), int(entry["size"]))
+
+    def beginning(self, chunk: int, size: int, /) -> bytes:
+        """Return the first bytes of a chunk.
+
+        Parameters
+        ----------
+        chunk : int
+            Number of the chunk.
+        size : int
+            Number of bytes, at most.
+
+        Returns
+        -------
+        bytes
+            The bytes; fewer if the chunk is shorter.
+        """
+        entry = self._index[chunk]
+        file = self._segments[self._file[chunk]]
+        return file.read(int(entry["offset"]), min(size, int(entry["size"])))
 
     def frame_at(self, seconds: float, /) -> int:
         """Return the first frame that began at a given time.

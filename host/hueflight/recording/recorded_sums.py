@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from zipfile import BadZipFile
 
 import numpy as np
@@ -131,6 +132,106 @@ def holds_recorded_sums(recording: Recording, /) -> bool:
     return ATTACHMENT in recording.info().attachments
 
 
+class SumsTotal:
+    """Adds up pictures of sums of one recording.
+
+    Parameters
+    ----------
+    description : SumsDescription
+        What the sums were made with.
+    where : str
+        Path of the recording, for errors.
+
+    Attributes
+    ----------
+    pictures : int
+        Pictures added so far.
+    """
+
+    def __init__(self, description: SumsDescription, /, *, where: str) -> None:
+        tables, offsets = description.tables, description.offsets
+        self._description, self._where = description, where
+        self._stated = tables.hash, offsets_hash(offsets.reshape(-1)), tables.widths
+        self._values = np.zeros((*offsets.shape, tables.sums), np.uint64)
+        self._frames = np.zeros(offsets.shape, np.int64)
+        self._saturated = np.zeros(offsets.shape, bool)
+        self.pictures = self._missed = 0
+
+    def add(self, picture: SumsPicture, /) -> None:
+        """Add a picture.
+
+        Parameters
+        ----------
+        picture : SumsPicture
+            The picture, complete or not.
+
+        Raises
+        ------
+        RecordingError
+            If it has sums of other tables than those of the description.
+        """
+        first, tables = picture.first, self._description.tables
+        if (first.tables, first.offsets, first.widths) != self._stated:
+            raise RecordingError(
+                f"{self._where}: picture {first.picture} has sums of other tables "
+                f"({first.tables:#010x}) than those attached ({tables.hash:#010x})"
+            )
+        self.pictures, self._missed = self.pictures + 1, self._missed + first.missed
+        self._values += picture.values
+        self._frames[picture.present] += first.frames
+        self._saturated[(picture.values == tables.limits).any(axis=-1)] = True
+
+    def finish(self, *, damaged: int = 0, missing: int = 0) -> RecordedSums:
+        """Return the totals so far, in arrays that later pictures do not change.
+
+        Parameters
+        ----------
+        damaged, missing : int
+            Packets of these pictures that were damaged or missing.
+
+        Returns
+        -------
+        RecordedSums
+            Totals.
+        """
+        made = self._description
+        most = (1 << MOST_SUM_BITS) - 1
+        values = np.minimum(self._values, most)
+        values[self._saturated] = most
+        widths = (MOST_SUM_BITS,) * made.tables.sums
+        losses = {"damaged": damaged, "missing": missing, "dropped": self._missed}
+        return RecordedSums(
+            values,
+            self._frames.copy(),
+            replace(made, tables=replace(made.tables, widths=widths)),
+            self.pictures,
+            {kind: count for kind, count in losses.items() if count},
+        )
+
+
+def describe_recorded_sums(recording: Recording, /) -> SumsDescription:
+    """Return what the sums of a recording were made with.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    SumsDescription
+        Tables, offsets and delays.
+
+    Raises
+    ------
+    RecordingError
+        If it holds no sums, or the description is damaged.
+    """
+    if not holds_recorded_sums(recording):
+        raise RecordingError(f"{recording.path} holds no sums: it was recorded as codes")
+    return SumsDescription.from_bytes(recording.attachment(ATTACHMENT), where=str(recording.path))
+
+
 def read_sums(recording: Recording, /) -> RecordedSums:
     """Add up the sums of all pictures of a recording.
 
@@ -149,51 +250,35 @@ def read_sums(recording: Recording, /) -> RecordedSums:
     RecordingError
         If it holds no sums, or such that were made with other tables than those attached.
     """
-    if not holds_recorded_sums(recording):
-        raise RecordingError(f"{recording.path} holds no sums: it was recorded as codes")
-    described = SumsDescription.from_bytes(
-        recording.attachment(ATTACHMENT), where=str(recording.path)
-    )
-    tables, offsets = described.tables, described.offsets
-    stated = tables.hash, offsets_hash(offsets.reshape(-1)), tables.widths
-    values = np.zeros((*offsets.shape, tables.sums), np.uint64)
-    frames = np.zeros(offsets.shape, np.int64)
-    saturated = np.zeros(offsets.shape, bool)
-    parser, assembler = PacketParser(keep_damage=0), PictureAssembler()
-    pictures = missed = 0
+    total = SumsTotal(describe_recorded_sums(recording), where=str(recording.path))
+    parser = PacketParser(keep_damage=0)
+    for picture in pictures_of(parser, recording.raw()):
+        total.add(picture)
+    return total.finish(damaged=parser.report.damaged, missing=parser.report.missing)
 
-    def add(picture: SumsPicture | None) -> None:
-        nonlocal pictures, missed
-        if picture is None:
-            return
-        first = picture.first
-        if (first.tables, first.offsets, first.widths) != stated:
-            raise RecordingError(
-                f"{recording.path}: picture {first.picture} has sums of other tables "
-                f"({first.tables:#010x}) than those attached ({tables.hash:#010x})"
-            )
-        pictures, missed = pictures + 1, missed + first.missed
-        values[...] += picture.values
-        frames[picture.present] += first.frames
-        saturated[(picture.values == tables.limits).any(axis=-1)] = True
 
-    for piece in recording.raw():
+def pictures_of(parser: PacketParser, pieces: Iterable[bytes], /) -> Iterator[SumsPicture]:
+    """Find the pictures of sums in a stream.
+
+    Parameters
+    ----------
+    parser : PacketParser
+        Finds the packets, and counts those that are damaged or missing.
+    pieces : iterable of bytes
+        The stream.
+
+    Yields
+    ------
+    SumsPicture
+        Each picture, complete or not.
+    """
+    assembler = PictureAssembler()
+    for piece in pieces:
         for packet in parser.feed(piece):
             if isinstance(packet.content, Sums):
-                add(assembler.feed(packet.content))
-    add(assembler.finish())
-    most = (1 << MOST_SUM_BITS) - 1
-    np.minimum(values, most, out=values)
-    values[saturated] = most
-    wide = ReductionTables(
-        tables.entries, (MOST_SUM_BITS,) * tables.sums, tables.first, tables.last
-    )
-    report = parser.report
-    losses = {"damaged": report.damaged, "missing": report.missing, "dropped": missed}
-    return RecordedSums(
-        values,
-        frames,
-        SumsDescription(wide, offsets, described.middle_ns, described.reach_ns),
-        pictures,
-        {kind: count for kind, count in losses.items() if count},
-    )
+                picture = assembler.feed(packet.content)
+                if picture is not None:
+                    yield picture
+    picture = assembler.finish()
+    if picture is not None:
+        yield picture

@@ -26,6 +26,7 @@ from hueflight.devices.camera_controls import CameraControls
 from hueflight.devices.reduction import Reduction
 from hueflight.errors import HistogramError, HueflightError
 from hueflight.ingest.sums_blocks import SumsBlocks
+from hueflight.live.message import decode_message
 from hueflight.recording import open_recording, read_sums
 from hueflight_protocol import PacketHeader, ReductionRoom, Sums, encode_sums
 from hueflight_protocol.links import LINKS
@@ -99,8 +100,11 @@ def test_pictures_recordings_and_captures(client: TestClient, tmp_path: Path) ->
         recorded = read_sums(recording)
     assert np.array_equal(np.unique(recorded.frames), [1000])
     assert recorded.losses == {}
-    played = client.get("/api/playback/sums")
-    assert "holds sums" in played.json()["error"]
+    facts = client.get("/api/playback/sums").json()
+    assert (facts["length"], facts["unit"]) == (recorded.pictures, "pictures")
+    assert 0.3 < facts["seconds"] < 0.5  # from the first 240 frames to the last of 1000
+    answer = client.get(f"/api/playback/sums/picture?start=0&stop={recorded.pictures}")
+    assert decode_message(answer.content).header["frames"] == 1000
 
     # captures that need histograms have codes, and after them sums come again
     client.post("/api/recordings", json={"name": "codes", "kind": "reference", "frames": 500})

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("foxglove", reason="the extra 'foxglove' is not installed")
@@ -18,12 +19,15 @@ from mcap_protobuf.decoder import DecoderFactory
 from structlog.testing import capture_logs
 
 import hueflight as hf
+from hueflight.acquisition.sums_reduction import attachments_of, reduction_of
 from hueflight.daemon.config import ConfigError, RecordingConfig
 from hueflight.daemon.finisher import Finisher
 from hueflight.daemon.recording_pictures import RecordingPictures
 from hueflight.daemon.recordings_folder import RecordingsFolder
 from hueflight.recording import RecordingWriter
+from hueflight.recording.layout import segment_files
 from hueflight.simulator import simulate_capture, simulate_packets
+from support.sums_stream import packets_of_sums
 
 FRAMES = 2000
 SUMMARY = {"kind": "scene", "recorded_frames": FRAMES, "seconds": 1.0, "failure": ""}
@@ -79,6 +83,44 @@ def test_pictures_are_added_when_a_recording_has_ended(
     half = len(bytes_before) // 2
     assert path.read_bytes()[:half] == bytes_before[:half]
     assert sorted(each.name for each in path.parent.iterdir()) == ["run.json", "run.mcap"]
+
+
+@pytest.mark.slow
+def test_recordings_of_sums_get_pictures_of_whole_sums(
+    tmp_path: Path, instrument: hf.Instrument, draw: Callable[..., Any]
+) -> None:
+    calibration = hf.calibrate(draw(instrument, photons=50_000), instrument, distance=0.5)
+    reduction = reduction_of(calibration, picture_frames=200)
+    path = tmp_path / "sums.mcap"
+    drawn = [draw(instrument, photons=60, frames=200, seed=seed) for seed in range(10)]
+    with RecordingWriter(
+        path, instrument, chunk_bytes=1500, segment_bytes=20_000,
+        attachments=attachments_of(reduction, instrument),
+    ) as writer:  # fmt: skip
+        for packet in packets_of_sums(drawn, reduction):
+            writer.write(packet)
+    files = segment_files(path)[0]
+    assert len(files) > 1
+    with hf.open_recording(path) as recording:
+        before = b"".join(recording.raw())
+    with capture_logs() as logs:
+        RecordingPictures(5.0, calibration=lambda: calibration).add(path, SUMMARY)
+    assert [entry["event"] for entry in logs] == ["pictures added"]
+    with hf.open_recording(path) as recording:
+        assert b"".join(recording.raw()) == before
+    # 480 frames are three pictures of sums, 400 frames two: behind pictures 3, 5, 7 and 9
+    assert sum(topics(file).get("/depth", 0) for file in files) == 4
+    photons: list[int] = []
+    for file in files:
+        with file.open("rb") as opened:
+            for _, _, _, decoded in make_reader(
+                opened, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages(topics=["/photons"]):
+                photons.append(int(np.frombuffer(decoded.data, "<f4").sum()))
+    expected = [
+        sum(int(counts[..., 1:].sum()) for counts in drawn[end - 3 : end]) for end in (3, 5, 7, 9)
+    ]
+    assert photons == expected
 
 
 @pytest.mark.parametrize(

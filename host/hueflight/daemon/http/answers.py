@@ -349,6 +349,7 @@ class PlaybackAnswer(Answer, frozen=True, kw_only=True):
     kind: str
     capture: str
     length: Count
+    unit: str
     seconds: float | None
     simulated: bool | None
     calibration: str

@@ -97,9 +97,13 @@ function stride() {
 }
 
 function framesIn(seconds) {
-  const { length, seconds: all, instrument } = state.file;
-  const rate = all ? (length - 1) / all : instrument.frame_rate_hz;
-  return Math.max(1, Math.min(length, Math.round(seconds * rate)));
+  return Math.max(1, Math.min(state.file.length, Math.round(seconds * rate())));
+}
+
+/** Frames, or pictures of sums, that a recording has per second. */
+function rate() {
+  const { length, seconds, instrument } = state.file;
+  return seconds ? (length - 1) / seconds : instrument.frame_rate_hz;
 }
 
 /** First frame, and the frame after the last one, of the present picture. */
@@ -140,7 +144,7 @@ async function run() {
     await showPlace();
     const speed = Number($("speed").value);
     const series = state.file?.kind !== "recording";
-    const least = series ? SERIES_MS / speed : LEAST_MS;
+    const least = series ? SERIES_MS / speed : Math.max(LEAST_MS, 1e3 / (rate() * speed));
     await new Promise((done) => setTimeout(done, Math.max(0, least - (performance.now() - begun))));
     if (!playing || !state.file || run !== runs) return; // it may have been begun anew meanwhile
     if (stop >= state.file.length) {
@@ -148,7 +152,7 @@ async function run() {
       stop = Math.min(stride(), state.file.length);
     } else {
       const passed_s = (performance.now() - begun) / 1e3;
-      const frames = series ? 1 : Math.max(1, Math.round(framesIn(1) * passed_s * speed));
+      const frames = series ? 1 : Math.max(1, Math.round(rate() * passed_s * speed));
       stop = Math.min(state.file.length, stop + frames);
     }
   }

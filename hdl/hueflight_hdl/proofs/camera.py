@@ -14,6 +14,7 @@ from .camera_formatter import (
     WalkHarness,
 )
 from .camera_reduction import BanksHarness, SumHarness, WriterHarness
+from .camera_time import TimeHarness
 from .proof import Proof
 
 PROOFS = (
@@ -37,6 +38,13 @@ PROOFS = (
         AbortHarness,
         depth=30,
         induction=False,
+    ),
+    Proof(
+        "camera-time",
+        "Cameras on one clock that waited for an edge and got it have the same time from then on, "
+        "until the clock of one fails or it waits for another; nothing else sets the time.",
+        TimeHarness,
+        depth=4,
     ),
     Proof(
         "camera-verdict",

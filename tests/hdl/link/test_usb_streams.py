@@ -3,9 +3,11 @@
 
 import numpy as np
 import pytest
+from amaranth.hdl import ClockDomain, Elaboratable, Module
 from amaranth.sim import Simulator
 
 from hueflight_hdl.link.ft601 import Ft601Bursts
+from hueflight_hdl.link.packet_crossing import PacketCrossing
 from hueflight_hdl.link.usb_streams import PACKET_BYTES, ControlBytes, PacketBytes
 
 
@@ -188,3 +190,100 @@ def test_ft601_gathers_bursts_and_lets_nothing_lie():
         assert chip.bursts[0] >= 2 * 16
 
     run(dut, queue, pins, domains={"ft": 1e-8})
+
+
+PAUSES = 30
+"""Pauses of the camera's clock, at phases drawn by a seeded generator."""
+
+
+class PausedClock(Elaboratable):
+    """A design whose domain `sync` runs by hand, so that it can stand still."""
+
+    def __init__(self, dut):
+        self.dut = dut
+        self.domain = ClockDomain("sync", reset_less=True)
+
+    def elaborate(self, platform):
+        m = Module()
+        m.domains += self.domain
+        m.submodules.dut = self.dut
+        return m
+
+    async def run(self, ctx):
+        rng = np.random.default_rng(8)
+        for _ in range(PAUSES):
+            for _ in range(int(rng.integers(5, 60))):
+                for level in (1, 0):
+                    ctx.set(self.domain.clk, level)
+                    await ctx.delay(5e-9)
+            await ctx.delay(float(rng.integers(1, 3000)) * 1e-9)
+
+
+async def accepted(ctx, domain, ready):
+    """Wait for the clock in which a stream takes what is offered."""
+    while not (await ctx.tick(domain).sample(ready))[2]:
+        pass
+
+
+def test_words_of_packets_survive_pauses_of_the_camera_s_clock():
+    """The pointers of the queue stand still with their clock; the link goes on."""
+    dut = PacketCrossing(domain="usb", depth=16)
+    clock = PausedClock(dut)
+    given, taken = [], []
+
+    async def give(ctx):
+        rng = np.random.default_rng(2)
+        while True:
+            word = int(rng.integers(1 << 63))
+            ctx.set(dut.packets.payload, {"data": word, "last": word & 1})
+            ctx.set(dut.packets.valid, 1)
+            await accepted(ctx, "sync", dut.packets.ready)
+            given.append(word)
+            ctx.set(dut.packets.valid, 0)
+
+    async def take(ctx):
+        rng = np.random.default_rng(3)
+        while True:
+            ready = int(rng.random() < 0.5)
+            ctx.set(dut.words.ready, ready)
+            _, _, valid, word = await ctx.tick("usb").sample(dut.words.valid, dut.words.payload)
+            if ready and valid:
+                assert word.last == word.data & 1
+                taken.append(word.data)
+
+    run(clock, give, take, clock.run, domains={"usb": 1 / 60e6})
+    assert len(taken) > 10 * PAUSES
+    assert taken == given[: len(taken)]
+    assert len(given) - len(taken) <= dut.depth + 2
+
+
+def test_requests_survive_pauses_of_the_camera_s_clock():
+    """USB gives bytes while the camera stands still: they wait, none is lost or doubled."""
+    dut = ControlBytes()
+    clock = PausedClock(dut)
+    given, taken = [], []
+
+    async def give(ctx):
+        rng = np.random.default_rng(2)
+        while True:
+            byte, last = int(rng.integers(256)), int(rng.random() < 0.1)
+            ctx.set(dut.received.payload, {"data": byte, "last": last})
+            ctx.set(dut.received.valid, 1)
+            await accepted(ctx, "usb", dut.received.ready)
+            ctx.set(dut.received.valid, 0)
+            given.append(byte)
+            if last:
+                given.append("end")
+
+    async def take(ctx):
+        while True:
+            _, _, valid, byte = await ctx.tick("sync").sample(
+                dut.requests.valid, dut.requests.payload
+            )
+            if valid:
+                taken.append("end" if byte.end else byte.data)
+
+    run(clock, give, take, clock.run, domains={"usb": 1 / 60e6})
+    assert len(taken) > 10 * PAUSES
+    assert taken == given[: len(taken)]
+    assert len(given) - len(taken) <= 16 + 4

@@ -8,6 +8,7 @@ from amaranth.hdl import Const, Module, Signal
 
 from hueflight_hdl.camera import counters
 from hueflight_hdl.camera.exposure.frame_guard import FrameGuard
+from hueflight_hdl.camera.exposure.time_sync import TimeSync
 from hueflight_hdl.camera.formatter import formatter as formatter_module
 from hueflight_hdl.camera.formatter.admission import FrameAdmission
 from hueflight_hdl.camera.formatter.formatter import FrameFormatter
@@ -15,7 +16,7 @@ from hueflight_hdl.camera.formatter.trailer import TrailerWriter
 from hueflight_hdl.camera.reduction import core as reduction
 from hueflight_hdl.camera.reduction.picture_writer import PictureWriter
 from hueflight_hdl.common.counter import SaturatingCounter
-from hueflight_hdl.proofs import camera_capture, camera_formatter, camera_reduction
+from hueflight_hdl.proofs import camera_capture, camera_formatter, camera_reduction, camera_time
 from hueflight_hdl.proofs.camera import PROOFS
 from hueflight_hdl.proofs.camera_capture import AbortHarness, VerdictHarness
 from hueflight_hdl.proofs.camera_counters import CountersHarness
@@ -26,9 +27,10 @@ from hueflight_hdl.proofs.camera_formatter import (
     TrailerHarness,
     WalkHarness,
 )
+from hueflight_hdl.proofs.camera_time import TimeHarness
 from hueflight_hdl.proofs.proof import Proof, ProofError, prove
 
-QUICK = ("camera-stable", "camera-counters", "camera-sums")
+QUICK = ("camera-stable", "camera-counters", "camera-sums", "camera-time")
 
 
 @pytest.mark.parametrize("proof", [p for p in PROOFS if p.name in QUICK], ids=lambda p: p.name)
@@ -70,6 +72,26 @@ def test_a_link_that_is_not_waited_for_is_found(prover, monkeypatch):
     monkeypatch.setattr(camera_formatter, "FrameFormatter", Hasty)
     with pytest.raises(ProofError, match="failed"):
         prove(Proof("", "broken", StableHarness, depth=2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["failed", "pin"])
+def test_a_time_that_is_not_common_is_found(prover, monkeypatch, fault):
+    """A failure of the clock that is not noticed; an edge that comes later at one camera."""
+
+    class Wrong(TimeSync):
+        def elaborate(self, platform):
+            outside = getattr(self, fault)
+            inside = Signal()
+            setattr(self, fault, inside)
+            m = super().elaborate(platform)
+            setattr(self, fault, outside)
+            if fault == "pin":
+                m.d.sync += [inside.eq(outside), self.zero.eq(self.armed & self.level)]
+            return m
+
+    monkeypatch.setattr(camera_time, "TimeSync", Wrong)
+    broken(TimeHarness, depth=8)
 
 
 def broken(harness, *, depth):

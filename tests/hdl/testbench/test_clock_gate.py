@@ -118,7 +118,7 @@ def test_the_clock_has_no_short_pulse_and_each_pause_is_one(bench: PinBench, los
     assert len(runs) == len(pauses) + 1
     stops = np.array([burst[-1] for burst in runs[:-1]])
     if losses:
-        # noticed within 440 ns of the last change; a clock that stands still at its high level falls
+        # noticed within 440 ns of the last change; a clock that stands still while high falls
         # with the reset, 18 clocks of the oscillator later
         bound = 440_000 + HALF_REFERENCE_PS + 2 * 18 * HALF_OSCILLATOR_PS
         assert (stops[1::2] - pauses[1::2] < bound).all()

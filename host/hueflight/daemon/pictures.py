@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -25,7 +26,7 @@ from hueflight.daemon.incremental_fitter import CHANGE_SIGMA, IncrementalFitter
 from hueflight.daemon.picture import NO_HISTOGRAM, Picture, count_photons
 from hueflight.daemon.picture_settings import PictureSettings
 from hueflight.daemon.picture_window import PictureWindow
-from hueflight.daemon.sums_window import SumsWindow
+from hueflight.daemon.sums_window import GatheredSums, SumsWindow
 from hueflight.errors import HueflightError
 from hueflight.ingest.accumulator import Counts
 from hueflight.model.instrument import Instrument
@@ -88,9 +89,8 @@ class Pictures:
     skipped : int
         Blocks that were outdated before they were reconstructed.
     reduced : bool
-        True if the newest block was a picture of sums, of which the latest picture is made. Photons
-        of sums do not add up, because only histograms tell what has changed: `settings` then only
-        say how many frames each picture has.
+        True if the newest block was a picture of sums, of which the latest picture is made. Of
+        `settings`, the method is then that of sums.
     problem : str
         Why the latest histogram could not be reconstructed; empty if it could.
     thread : SupervisedThread
@@ -278,15 +278,21 @@ class Pictures:
             if frames:
                 return BlockWindow.holding(-(-frames // self._block_frames))
             return BlockWindow(self._window_blocks)
-        seconds = settings.integration_s
-        if self._distinct_frames is not None:  # photons that are repeated would add nothing
-            seconds = min(seconds, self._distinct_frames / self._rate_hz)
-        return GatheredWindow(self.instrument, seconds, self._rate_hz)
+        return GatheredWindow(self.instrument, self._seconds(settings), self._rate_hz)
 
     def _make_sums_window(self, settings: PictureSettings) -> SumsWindow:
-        if settings.integration_s == 0 and settings.frames:
-            return SumsWindow(-(-settings.frames // self._block_frames))
-        return SumsWindow(self._window_blocks)
+        if settings.integration_s == 0:
+            frames = settings.frames
+            return SumsWindow(-(-frames // self._block_frames) if frames else self._window_blocks)
+        seconds = self._seconds(settings)
+        return GatheredSums(None if math.isinf(seconds) else max(1, round(seconds * self._rate_hz)))
+
+    def _seconds(self, settings: PictureSettings) -> float:
+        """Longest time over which photons add up."""
+        if self._distinct_frames is None:
+            return settings.integration_s
+        # photons that are repeated would add nothing
+        return min(settings.integration_s, self._distinct_frames / self._rate_hz)
 
     def _begin_anew(self, reason: str, trace: str) -> None:
         """After a fault of the program: forget what may have caused it."""

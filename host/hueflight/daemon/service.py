@@ -273,7 +273,7 @@ class Service:
             If the settings are not possible.
         """
         settings = self.pictures.settings
-        self._check_sums_allow(integration_s, method)
+        self._check_sums_allow(method)
         if frames is not None:
             seconds = 0.0 if frames else self.config.integration_or_default
             settings = replace(settings, frames=frames, integration_s=seconds)
@@ -283,16 +283,10 @@ class Service:
             settings = replace(settings, method=method)
         return self.pictures.change(settings)
 
-    def _check_sums_allow(self, integration_s: float | None, method: str | None) -> None:
-        """Refuse ways to make pictures that need histograms while the camera sends sums."""
-        if not self.pictures.reduced:
-            return
-        if method not in (None, "sums"):
+    def _check_sums_allow(self, method: str | None) -> None:
+        """Refuse methods that need histograms while the camera sends sums."""
+        if self.pictures.reduced and method not in (None, "sums"):
             raise CaptureError(f"method {method!r} needs histograms: {SUMS_SENT}")
-        if integration_s:
-            raise CaptureError(
-                f"only histograms tell what has changed, so that photons can add up: {SUMS_SENT}"
-            )
 
     def stop(self) -> None:
         """End the present run, and stay idle.

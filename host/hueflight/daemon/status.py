@@ -74,7 +74,7 @@ def picture_status(pictures: Pictures, /, *, now_s: float, stale_after_s: float)
         "method": "sums" if pictures.reduced else pictures.settings.method,
         "methods": list(METHODS),
         # infinity becomes null in JSON
-        "integration_s": 0.0 if pictures.reduced else pictures.settings.integration_s,
+        "integration_s": pictures.settings.integration_s,
         "frames": _NO_FRAMES if picture is None else picture.spread_of_frames,
     }
 

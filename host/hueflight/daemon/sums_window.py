@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -16,10 +16,15 @@ from hueflight.calibration import Calibration
 from hueflight.daemon.block_window import PARTS
 from hueflight.devices.reduction import Reduction
 from hueflight.errors import HistogramError
+from hueflight.ingest.scene_change import of_pixels, of_tiles
+from hueflight.ingest.tile_history import TileHistory
+from hueflight.reconstruction.sums.changes import SumsContrasts
 from hueflight.reconstruction.sums.design import SumsDesign
 from hueflight.reconstruction.sums.method import reconstruct_sums
 from hueflight_protocol import SumsPicture
 from hueflight_protocol.reduction import MOST_SUM_BITS, ReductionTables
+
+MOST = (1 << MOST_SUM_BITS) - 1  #: of a sum of several pictures, and the value of saturated ones
 
 
 @dataclass(eq=False)
@@ -30,6 +35,19 @@ class _Part:
     frames: NDArray[np.int64]
     saturated: NDArray[np.bool_]
     pictures: int = 1
+
+    def add(self, other: _Part) -> None:
+        """Add the sum of later pictures."""
+        self.values += other.values
+        self.frames += other.frames
+        self.saturated |= other.saturated
+        self.pictures += other.pictures
+
+    def begin(self, pixels: NDArray[np.bool_]) -> None:
+        """Begin anew in some pixels."""
+        self.values[pixels] = 0
+        self.frames[pixels] = 0
+        self.saturated[pixels] = False
 
 
 class SumsWindow:
@@ -93,9 +111,11 @@ class SumsWindow:
             ):  # fmt: skip
                 self.clear()
             self._newest = picture
-            self._add(picture.block.picture, picture.reduction)
+            found = picture.block.picture
+            self._checked(found, picture.reduction)
+            self._add(found, picture.reduction)
 
-    def _add(self, picture: SumsPicture, reduction: Reduction) -> None:
+    def _checked(self, picture: SumsPicture, reduction: Reduction) -> None:
         first, tables = picture.first, reduction.tables
         if (first.tables, first.widths) != (tables.hash, tables.widths):
             self.clear()
@@ -103,17 +123,17 @@ class SumsWindow:
                 f"the camera sends sums of the tables {first.tables:#010x}, not of those that it "
                 f"was given ({tables.hash:#010x}): begin the live run anew"
             )
+
+    def _add(self, picture: SumsPicture, reduction: Reduction) -> None:
+        first, tables = picture.first, reduction.tables
         frames = np.where(picture.present, np.int64(first.frames), 0)
         saturated = (picture.values == tables.limits).any(axis=-1)
         last = self._parts[-1] if self._parts else None
+        newest = _Part(picture.values.astype(np.uint64), frames, saturated)
         if last is not None and last.pictures < self._of_part:
-            last.values += picture.values
-            last.frames += frames
-            last.saturated |= saturated
-            last.pictures += 1
+            last.add(newest)
             return
-        values = picture.values.astype(np.uint64)
-        self._parts.append(_Part(values, frames, saturated))
+        self._parts.append(newest)
         while len(self._parts) > self._most_parts:
             self._parts.popleft()
 
@@ -157,15 +177,106 @@ class SumsWindow:
         tables = self._newest.reduction.tables
         if len(self._parts) == 1 and self._parts[0].pictures == 1:
             return self._parts[0].values, tables
-        if self._wide is None:
-            widths = (MOST_SUM_BITS,) * tables.sums
-            self._wide = ReductionTables(tables.entries, widths, tables.first, tables.last)
         values = self._parts[0].values.copy()
         saturated = self._parts[0].saturated.copy()
         for part in list(self._parts)[1:]:
             values += part.values
             saturated |= part.saturated
-        most = (1 << MOST_SUM_BITS) - 1
-        np.minimum(values, most, out=values)
-        values[saturated] = most
-        return values, self._wide
+        np.minimum(values, MOST, out=values)
+        values[saturated] = MOST
+        return values, self._widened(tables)
+
+    def _widened(self, tables: ReductionTables) -> ReductionTables:
+        """The tables with widths that hold a sum of several pictures."""
+        if self._wide is None:
+            self._wide = replace(tables, widths=(MOST_SUM_BITS,) * tables.sums)
+        return self._wide
+
+
+class GatheredSums(SumsWindow):
+    """Sum of pictures of sums in which photons add up where nothing changes.
+
+    See `hueflight.ingest.tile_history.TileHistory`, and `hueflight.reconstruction.sums.changes` for
+    how changes are told from sums.
+
+    Parameters
+    ----------
+    limit_frames : int, optional
+        Most frames in the sum. It then holds from half as many up to all of them. By default there
+        is no limit but that of the sums, `MOST`, at which a tile begins anew.
+    """
+
+    def __init__(self, limit_frames: int | None = None) -> None:
+        super().__init__(1)
+        self._limit = limit_frames
+        self._young: _Part | None = None  # the latest half, where there is a limit
+        self._young_tiles: NDArray[np.float64] = np.zeros((0, 0))
+        self._young_frames = 0
+        self._history: TileHistory | None = None
+
+    def add_all(self, pictures: Sequence[LiveSums]) -> None:
+        """Add pictures; see `SumsWindow.add_all`.
+
+        Parameters
+        ----------
+        pictures : sequence of LiveSums
+            The newest pictures.
+        """
+        for picture in pictures:
+            super().add_all([picture])
+
+    def clear(self) -> None:
+        """Forget all pictures."""
+        super().clear()
+        self._young = self._history = None
+
+    def _add(self, picture: SumsPicture, reduction: Reduction) -> None:
+        tables, frames = reduction.tables, int(picture.first.frames)
+        newest = _Part(
+            picture.values.astype(np.uint64),
+            np.where(picture.present, np.int64(frames), 0),
+            (picture.values == tables.limits).any(axis=-1),
+        )
+        # tiles of which a part is missing are added, but not compared
+        tiles = of_tiles(picture.values)
+        whole = of_tiles(~picture.present) == 0
+        tiles *= whole[..., None]
+        tile_frames = np.where(whole, float(frames), 0.0)
+        if self._history is None:
+            rows, cols, sums = tiles.shape
+            self._history = TileHistory((rows, cols, sums), SumsContrasts.of(tables).compare)
+            self._parts.append(_empty(newest))
+            self._begin_half(newest, tile_frames)
+        elif self._limit is not None and 2 * (self._young_frames + frames) > self._limit:
+            self._history.keep(self._young_tiles)
+            assert self._young is not None
+            self._parts[0] = self._young
+            self._begin_half(newest, tile_frames)
+        (total,) = self._parts
+        full = of_tiles((total.values + newest.values).max(axis=-1) >= MOST) > 0
+        changed = self._history.add(tiles, tile_frames, lambda _: full)
+        anew = of_pixels(changed, *picture.present.shape)
+        total.begin(anew)
+        total.add(newest)
+        if self._young is not None:
+            self._young.begin(anew)
+            self._young.add(newest)
+            self._young_tiles = np.where(changed, 0.0, self._young_tiles) + tile_frames
+            self._young_frames += frames
+
+    def _begin_half(self, like: _Part, tile_frames: NDArray[np.float64]) -> None:
+        if self._limit is not None:
+            self._young, self._young_frames = _empty(like), 0
+            self._young_tiles = np.zeros_like(tile_frames)
+
+    def _total(self) -> tuple[NDArray[np.uint64], ReductionTables]:
+        assert self._newest is not None
+        (total,) = self._parts
+        values = np.where(total.saturated[..., None], np.uint64(MOST), total.values)
+        return values, self._widened(self._newest.reduction.tables)
+
+
+def _empty(like: _Part) -> _Part:
+    """A sum of nothing, as large as another."""
+    parts = (np.zeros_like(each) for each in (like.values, like.frames, like.saturated))
+    return _Part(*parts, pictures=0)

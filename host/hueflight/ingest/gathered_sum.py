@@ -6,8 +6,6 @@ from __future__ import annotations
 import threading
 import weakref
 from collections import Counter
-from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,35 +13,18 @@ from numpy.typing import NDArray
 from hueflight.errors import IngestError
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.kernels import choose
-from hueflight.ingest.scene_change import TILE, changed_tiles, grown, tile_counts
+from hueflight.ingest.scene_change import of_pixels, tile_counts
+from hueflight.ingest.tile_history import TileHistory
 
 MOST_SPARE = 2  #: arrays that wait to be used again: new memory takes longer than the sum itself
-LONGER = 8  #: times as many histograms in each following window of the test
-Value = TypeVar("Value", bound=np.generic)  # of a tile
 MOST_FRAMES = int(np.iinfo(np.uint32).max)  #: then a pixel begins anew: its counters are full
-
-
-@dataclass(eq=False)
-class _Window:
-    """The latest counts of every tile, as one of the lengths over which changes are looked for."""
-
-    length: int
-    counts: NDArray[np.float64]
-    frames: int = 0
-    entries: int = 0
-
-    def clear(self) -> None:
-        self.counts[:] = 0
-        self.frames = self.entries = 0
 
 
 class GatheredSum:
     """Sum of histograms in which photons add up as long as nothing changes.
 
-    The newest histogram is compared with the sum of all before it (`changed_tiles`), and so are,
-    each time they are complete, the latest 8, 64, 512, … histograms: the longer ones tell slower
-    and smaller changes. Tiles that have changed, and after a sudden change their neighbors, begin
-    anew with the newest histogram.
+    Tiles begin anew where the newest histograms differ from all before them; see
+    `hueflight.ingest.tile_history.TileHistory`.
 
     Parameters
     ----------
@@ -88,10 +69,7 @@ class GatheredSum:
         self._total: Counts | None = None
         self._young: Counts | None = None  # the latest half, where there is a limit
         self._young_frames = 0
-        self._tiles = np.zeros(0)
-        self._tile_frames = np.zeros(0)
-        self._windows: list[_Window] = []
-        self._entries = 0
+        self._history = TileHistory((0, 0, 0))
 
     def add(self, histogram: Counts, frames: int, /) -> None:
         """Add a histogram, which is not needed any more afterwards.
@@ -108,12 +86,12 @@ class GatheredSum:
             self._begin(histogram, counts)
         elif self._limit is not None and 2 * (self._young_frames + frames) > self._limit:
             self._forget_older()
-        changed = self._changed(counts, frames)
-        changed |= self._tile_frames + frames > MOST_FRAMES
-        self._add_to_tiles(counts, frames, changed)
-        self.anew = self._pixels(changed)
-        self.frames = self._pixels(self._tile_frames.astype(np.int64))
-        most = int(self._tile_frames.max())
+        history = self._history
+        newest = np.full(history.frames.shape, float(frames))
+        changed = history.add(counts, newest, lambda together: together > MOST_FRAMES)
+        self.anew = of_pixels(changed, *self._shape)
+        self.frames = of_pixels(history.frames.astype(np.int64), *self._shape)
+        most = int(history.frames.max())
         histogram = np.ascontiguousarray(histogram)
         self._total = self._added(self._total, histogram, changed, most)
         if self._limit is not None:
@@ -159,56 +137,15 @@ class GatheredSum:
         self._total = np.zeros(histogram.shape, np.uint16)
         if self._limit is not None:
             self._young = np.zeros(histogram.shape, np.uint16)
-        self._tiles, self._tile_frames = np.zeros(counts.shape), np.zeros(counts.shape[:2])
+        rows, cols, groups = counts.shape
+        self._history = TileHistory((rows, cols, groups))
 
     def _forget_older(self) -> None:
         """Keep only the latest half; comparisons go on with what they know."""
         assert self._young is not None
-        young = np.minimum(self._tile_frames, self._young_frames)
-        scale = np.divide(young, self._tile_frames, out=np.zeros(young.shape), where=young > 0)
-        self._tiles *= scale[..., None]
-        self._tile_frames = young
-        for window in self._windows:  # they may hold more than is left
-            window.clear()
+        self._history.keep(self._young_frames)
         self._total, self._young = self._young, np.zeros_like(self._young)
         self._young_frames = 0
-
-    def _changed(self, counts: NDArray[np.float64], frames: int) -> NDArray[np.bool_]:
-        """Tiles that changed, by the newest histogram and each longer window that it completes."""
-        newest = np.full(self._tile_frames.shape, float(frames))
-        changed = grown(changed_tiles(counts, newest, self._tiles, self._tile_frames))
-        self._entries += 1
-        if self._entries == LONGER ** (len(self._windows) + 1):
-            length = self._entries
-            self._windows.append(_Window(length, np.zeros(counts.shape)))
-        for window in self._windows:
-            window.counts += counts
-            window.frames += frames
-            window.entries += 1
-            if window.entries < window.length:
-                continue
-            # tiles that began anew within the window have no earlier frames, and are not compared
-            changed |= changed_tiles(
-                window.counts,
-                np.full(newest.shape, float(window.frames)),
-                self._tiles + counts - window.counts,
-                self._tile_frames + frames - window.frames,
-            )
-            window.clear()
-        return changed
-
-    def _add_to_tiles(
-        self, counts: NDArray[np.float64], frames: int, changed: NDArray[np.bool_]
-    ) -> None:
-        self._tiles[changed] = 0
-        self._tile_frames[changed] = 0
-        self._tiles += counts
-        self._tile_frames += frames
-
-    def _pixels(self, tiles: NDArray[Value]) -> NDArray[Value]:
-        """Values of tiles, for each of their pixels."""
-        rows, cols = self._shape
-        return np.repeat(np.repeat(tiles, TILE, 0), TILE, 1)[:rows, :cols]
 
     def _added(
         self, total: Counts | None, histogram: Counts, changed: NDArray[np.bool_], most: int

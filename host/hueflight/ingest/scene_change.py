@@ -10,6 +10,9 @@ receives too few photons within one picture for a change to be told from chance.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +20,10 @@ from hueflight.backend.ingest import SCENE_TILE as TILE
 from hueflight.ingest.accumulator import Counts
 from hueflight.ingest.kernels import choose
 
+Compare = Callable[
+    [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int], NDArray[np.float64]
+]
+Value = TypeVar("Value", bound=np.generic)  # of a tile
 SIZES = (1, 4, 16)  #: tiles on a side of what is compared: tiles, squares, larger squares
 GROUPS = 128  #: of codes, at most
 WINDOWS = 16  #: of groups, at most
@@ -53,6 +60,42 @@ def tile_counts(histogram: Counts, /, *, reports_empty: bool = True) -> NDArray[
     return out
 
 
+def of_tiles(pixels: NDArray[np.generic], /) -> NDArray[np.float64]:
+    """Return the sum over the pixels of each tile.
+
+    Parameters
+    ----------
+    pixels : array, shape (row, col, ...)
+        Values of pixels.
+
+    Returns
+    -------
+    array of float64, shape (tile row, tile col, ...)
+        Sums. The tiles at the right and the lower edge may be smaller than others.
+    """
+    rows, cols = pixels.shape[:2]
+    down = np.add.reduceat(pixels, np.arange(0, rows, TILE), axis=0, dtype=np.float64)
+    return np.add.reduceat(down, np.arange(0, cols, TILE), axis=1)
+
+
+def of_pixels(tiles: NDArray[Value], rows: int, cols: int, /) -> NDArray[Value]:
+    """Return the values of tiles for each of their pixels.
+
+    Parameters
+    ----------
+    tiles : array, shape (tile row, tile col)
+        Values of tiles.
+    rows, cols : int
+        Pixels of the image.
+
+    Returns
+    -------
+    array, shape (row, col)
+        Value of each pixel's tile.
+    """
+    return np.repeat(np.repeat(tiles, TILE, 0), TILE, 1)[:rows, :cols]
+
+
 def changed_tiles(
     newest: NDArray[np.float64],
     newest_frames: NDArray[np.float64],
@@ -61,6 +104,7 @@ def changed_tiles(
     /,
     *,
     sigma: float = SIGMA,
+    compare: Compare | None = None,
 ) -> NDArray[np.bool_]:
     """Return which tiles have changed.
 
@@ -76,6 +120,10 @@ def changed_tiles(
         Frames behind them. Tiles without frames on either side are not compared.
     sigma : float
         Standard deviations by which a contrast must differ.
+    compare : callable, optional
+        Takes `newest`, `earlier`, their ratio of frames (0 leaves a tile out) and a number, and
+        returns the significance of changes in squares of so many tiles on a side; by default
+        `compare_counts`.
 
     Returns
     -------
@@ -89,7 +137,7 @@ def changed_tiles(
     rows, cols = known.shape
     changed = np.zeros(known.shape, bool)
     for size in SIZES:
-        found = _significance(newest, earlier, ratio, size) > sigma
+        found = (compare or compare_counts)(newest, earlier, ratio, size) > sigma
         if not found.any():
             continue
         changed |= np.repeat(np.repeat(found, size, 0), size, 1)[:rows, :cols] & known
@@ -98,13 +146,29 @@ def changed_tiles(
     return changed
 
 
-def _significance(
+def compare_counts(
     newest: NDArray[np.float64],
     earlier: NDArray[np.float64],
     ratio: NDArray[np.float64],
     size: int,
+    /,
 ) -> NDArray[np.float64]:
-    """Significance of changes in squares of so many tiles on a side."""
+    """Return the significance of changes of counts.
+
+    Parameters
+    ----------
+    newest, earlier : array of float, shape (tile row, tile col, group)
+        Counts.
+    ratio : array of float, shape (tile row, tile col)
+        Frames of `newest` per frame of `earlier`; 0 leaves a tile out.
+    size : int
+        Tiles on a side of each square that is compared.
+
+    Returns
+    -------
+    array of float, shape (square row, square col)
+        Standard deviations of the contrast that differs most.
+    """
     rows, cols, groups = newest.shape
     out = np.empty((-(-rows // size), -(-cols // size)))
     choose().significance(

@@ -71,7 +71,7 @@ def _picture(service: Service, body: PictureBody) -> dict[str, Any]:
     return {
         "frames": frames,
         "number": number,
-        "integration_s": 0.0 if reduced else settings.integration_s,
+        "integration_s": settings.integration_s,
         "method": "sums" if reduced else settings.method,
     }
 

@@ -141,7 +141,7 @@ def skips(calibration: Calibration) -> None:
         def run() -> object:
             nonlocal turn
             turn += 1
-            return video.next(others[turn % len(others)])
+            return video.next(others[(turn - 1) % len(others)])
 
         return run
 

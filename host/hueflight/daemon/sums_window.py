@@ -278,5 +278,9 @@ class GatheredSums(SumsWindow):
 
 def _empty(like: _Part) -> _Part:
     """A sum of nothing, as large as another."""
-    parts = (np.zeros_like(each) for each in (like.values, like.frames, like.saturated))
-    return _Part(*parts, pictures=0)
+    return _Part(
+        np.zeros_like(like.values),
+        np.zeros_like(like.frames),
+        np.zeros_like(like.saturated),
+        pictures=0,
+    )

@@ -44,7 +44,9 @@ class SumsContrasts:
     def __init__(self, entries: NDArray[np.integer], /) -> None:
         tables = entries.astype(np.float64)
         codes = tables.shape[1]
-        triangle = np.linalg.qr(tables.T / np.sqrt(codes), mode="r")
+        triangle: NDArray[np.float64] = np.asarray(
+            np.linalg.qr(tables.T / np.sqrt(codes), mode="r")  # one array in this mode
+        )
         steps = np.diag_indices(len(tables))
         dependent = np.abs(triangle[steps]) < 1e-9 * np.abs(triangle).max()
         triangle[steps] = np.where(dependent, np.inf, triangle[steps])  # tells nothing new: 0

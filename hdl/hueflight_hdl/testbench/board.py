@@ -358,7 +358,10 @@ def _wrapper(verilog: Path, text: str) -> str:
     clock = re.search(r"(?:input|inout) ((?:clk|clock)\w*__io);", text)
     leds = re.search(r"(?:output|inout) \[(\d+):0\] led_pulse_0__io;", text)
     if clock is None or (leds is None and " ft601_0__wr_n__io;" not in text):
-        raise BoardError(f"{verilog}: not an illuminator: it has no clock or no led_pulse pins")
+        raise BoardError(
+            f"{verilog}: has no clock, or neither the led_pulse pins of an illuminator nor a "
+            "camera's FT601"
+        )
     if leds is None:
         return _CAMERA.format(clock=clock[1], ft_half=_FT_HALF_PS)
     more = "".join(

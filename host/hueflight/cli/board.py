@@ -83,6 +83,8 @@ def board(
         raise DeviceError(f"--source {source}: belongs to `hueflight board clock`")
     if channel is not None and action != "skew":
         raise DeviceError(f"--channel {channel[0]}: belongs to `hueflight board skew`")
+    if yes and action != "skew":
+        raise DeviceError("--yes: belongs to `hueflight board skew`")
     if action == "skew":
         return _skew(port, channel, yes=yes, baud=baud, record=record, json=json)
     if action == "clock":

@@ -13,7 +13,7 @@ from pathlib import Path
 from hueflight.devices import clock_choice
 from hueflight.devices.board import Board, BoardIdentity
 from hueflight.devices.clock_choice import ClockState
-from hueflight.devices.errors import DeviceTimeoutError
+from hueflight.devices.errors import DeviceError, DeviceTimeoutError
 from hueflight.devices.fine_delays import FineDelays
 from hueflight.devices.illuminator_state import (
     IlluminatorFaults,
@@ -141,6 +141,20 @@ class Illuminator:
     def disarm(self) -> None:
         """Turn LEDs off at once."""
         self.board.write(registers.Arm(0))
+
+    def check_disarmed(self) -> None:
+        """Refuse a board that is armed.
+
+        Raises
+        ------
+        DeviceError
+            If it is.
+        """
+        if self.state().armed:
+            raise DeviceError(
+                f"the illuminator at {self.identity.place} is armed: another program may use it; "
+                "disarm it first"
+            )
 
     def feed(self) -> None:
         """Start the watchdog's time again; it does not arm."""

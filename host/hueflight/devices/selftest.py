@@ -94,11 +94,7 @@ def run_selftest(
     DeviceError
         If the board is armed, which another program may have done, or does not answer.
     """
-    if board.state().armed:
-        raise DeviceError(
-            f"the illuminator at {board.identity.place} is armed: another program may use it; "
-            "disarm it first"
-        )
+    board.check_disarmed()
     board.clear()
     results = []
     try:

@@ -113,13 +113,11 @@ def measure_skew(
     if not 0 < dwell_s < _WATCHDOG_MS / 2000:
         raise SkewError(f"dwell_s = {dwell_s}: must be more than 0 and less than half a second")
     wanted = range(board.capacity.channels) if channels is None else channels
+    if not wanted:
+        raise SkewError("channels: name at least one")
     if wrong := [channel for channel in wanted if not 0 <= channel < board.capacity.channels]:
         raise SkewError(f"channel {wrong[0]}: the board has 0 to {board.capacity.channels - 1}")
-    if board.state().armed:
-        raise DeviceError(
-            f"the illuminator at {board.identity.place} is armed: another program may use it; "
-            "disarm it first"
-        )
+    board.check_disarmed()
     found: dict[int, tuple[int, tuple[float, ...]]] = {}
     filtered = board.board.read(registers.TriggerFilter)
     try:
@@ -280,7 +278,6 @@ def staircase(seen: dict[int, tuple[int, ...]], channel: int, /) -> tuple[int, t
 def _prepare(board: Illuminator, channel: int) -> None:
     """Load the train that a trigger starts: one pulse, shortly before its end."""
     tick = board.capacity.tick_ns
-    board.disarm()
     lines = board.fine_delays()
     board.set_fine_delays(replace(lines, settings=(0,) * len(lines.settings)))
     pulses: list[tuple[ChannelPulse, ...]] = [()] * board.capacity.channels
@@ -291,10 +288,9 @@ def _prepare(board: Illuminator, channel: int) -> None:
 
 
 def _turn(board: Illuminator, channel: int, setting: int, dwell_s: float) -> tuple[int, ...]:
-    """Return the possible lengths of a loop at one setting of its line."""
+    """Return the possible lengths of a loop at one setting of its line, LEDs off afterwards."""
     lines = board.fine_delays()
     settings = tuple(setting if k == channel else 0 for k in range(len(lines.settings)))
-    board.disarm()
     board.set_fine_delays(replace(lines, settings=settings))
     board.set_trigger(TriggerSource.INTERNAL, period_ns=PERIOD_TICKS * board.capacity.tick_ns)
     board.arm(watchdog_ms=_WATCHDOG_MS)
@@ -302,6 +298,7 @@ def _turn(board: Illuminator, channel: int, setting: int, dwell_s: float) -> tup
     board.board.write(registers.Clear(phase=1))
     time.sleep(dwell_s)
     counts = board.phases().counts
+    board.disarm()  # lines can be set again, and the wire be moved
     if sum(counts) < LEAST_TRIGGERS:
         raise SkewError(
             f"channel {channel}: {sum(counts)} triggers in {dwell_s:g} s: lead its output to the "

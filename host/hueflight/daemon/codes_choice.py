@@ -30,6 +30,7 @@ Sent = Literal["codes", "sums"]
 Wanted = Literal["codes", "sums", "auto"]
 
 BACK_SHARE = 0.9  #: of the link that codes may take at most for the camera to go back to them
+CAPTURE_SHARE = 0.9  #: of the link that full frames of a capture may take: all of it loses some
 OCCUPANCY_STEP = 0.02  #: to which occupancies are rounded up
 MEASURED_S = 1.0  #: over which photons are counted
 _LOOK_S = 0.25
@@ -248,11 +249,11 @@ class CodesChoice:
 
         For captures, whose targets may be brighter than what is seen before them.
         """
-        carried = LINKS.get(link)
-        full = codes_bytes(self._acquisition.instrument.sensor, 1.0)
-        if carried is None or full * self._settings().rate_hz <= carried:
+        if link not in LINKS:
             return None
-        return carried / full
+        full = codes_bytes(self._acquisition.instrument.sensor, 1.0)
+        most_hz = CAPTURE_SHARE * LINKS[link] / full
+        return most_hz if most_hz < self._settings().rate_hz else None
 
     def _obstacle(self, snapshot: Snapshot, calibration: Calibration | None, frames: int) -> str:
         """Why the camera can't send sums; empty if it can."""

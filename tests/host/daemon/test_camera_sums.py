@@ -281,5 +281,9 @@ def test_captures_are_slowed_down_before_any_light_was_measured(
     )
     choice.close()
     choice.look()
-    most = LINKS[link] / codes_bytes(paper.sensor, 1.0) if limited else None
-    assert acquisition.controls.codes_rate_hz == most
+    found = acquisition.controls.codes_rate_hz
+    if not limited:
+        assert found is None
+        return
+    load = found * codes_bytes(paper.sensor, 1.0) / LINKS[link]
+    assert 0.8 < load < 0.95  # a link that is used to the last byte loses frames

@@ -29,7 +29,7 @@ def board(
     /,
     *,
     source: ClockName | None = None,
-    channel: list[int] | None = None,
+    led: list[int] | None = None,
     yes: Annotated[bool, Parameter(negative=())] = False,
     baud: int | None = None,
     leds: Annotated[bool, Parameter(negative="--no-leds")] = True,
@@ -38,7 +38,7 @@ def board(
     record: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Test an illuminator on the bench, choose a board's clock, or measure the skew of LEDs.
+    """Test an illuminator, choose a board's clock, or measure the skew of LEDs.
 
     The test covers clock, line, each LED, and the watchdog. LEDs fire one after another, for 10 ns
     in every 82 µs or longer. The exit code is 1 if a test fails. The clock is the board's
@@ -55,8 +55,9 @@ def board(
         usb:SERIAL.
     source : {"internal", "external"}, optional
         Clock to run from, with the action clock; by default the clock is only shown.
-    channel : list of int, optional
-        LED to measure, with the action skew; can be given more than once. By default all are.
+    led : list of int, optional
+        Number of an LED to measure, with the action skew; can be given more than once. By default
+        all are.
     yes : bool, default False
         Begin with each LED without asking, as where a photodiode sees all of them.
     baud : int, optional
@@ -81,12 +82,12 @@ def board(
         raise DeviceError(f"--words {words} --dwell {dwell:g}: must be at least 1 word and 0 s")
     if source is not None and action != "clock":
         raise DeviceError(f"--source {source}: belongs to `hueflight board clock`")
-    if channel is not None and action != "skew":
-        raise DeviceError(f"--channel {channel[0]}: belongs to `hueflight board skew`")
+    if led is not None and action != "skew":
+        raise DeviceError(f"--led {led[0]}: belongs to `hueflight board skew`")
     if yes and action != "skew":
         raise DeviceError("--yes: belongs to `hueflight board skew`")
     if action == "skew":
-        return _skew(port, channel, yes=yes, baud=baud, record=record, json=json)
+        return _skew(port, led, yes=yes, baud=baud, record=record, json=json)
     if action == "clock":
         return _clock(port, source, baud=baud, record=record, json=json)
     illuminator = open_illuminator(port, baud=baud, record=record)

@@ -213,7 +213,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str]):
     board.wired = 2  # as a photodiode that sees this LED alone
     line = PtyBoard(board)
     try:
-        words = ["board", "skew", line.path, "--channel", "2", "--yes"]
+        words = ["board", "skew", line.path, "--led", "2", "--yes"]
         with pytest.raises(SystemExit) as ended:
             main([*words, "--json"])
         out = capsys.readouterr().out
@@ -225,8 +225,8 @@ def test_the_command(capsys: pytest.CaptureFixture[str]):
             main(words)
         assert "LED 2, skew ns" in capsys.readouterr().out
         with pytest.raises(SystemExit) as ended:
-            main(["board", "clock", line.path, "--channel", "2"])
+            main(["board", "clock", line.path, "--led", "2"])
         assert ended.value.code == 1
-        assert "--channel 2: belongs to `hueflight board skew`" in capsys.readouterr().err
+        assert "--led 2: belongs to `hueflight board skew`" in capsys.readouterr().err
     finally:
         line.close()

@@ -26,6 +26,7 @@ from ..common.version import source_hash
 from .ecp5_clocks import AIM, RECOVERY_CLOCKS
 from .ecp5_pll import PllOutput, ecp5_pll
 from .ecp5_reference import Ecp5Reference, conversion, reference_from_pins
+from .ecp5_temperature import add_temperature
 from .pins import drive_pin, read_pin
 from .sensor_lanes import FABRIC_CLOCK, SENSOR_HZ, check_lanes
 from .settings import camera_settings, refuse_reference, set_camera
@@ -213,6 +214,8 @@ def add_camera(
         camera.marker.eq(read_pin(m, platform, "marker")),
         camera.missed.eq(read_pin(m, platform, "missed")),
     ]
+    if config.temperature:
+        m.d.comb += camera.temperature.eq(add_temperature(m, config.form.clock_hz))
     if clocks is not None and clocks.reference is not None:
         m.d.comb += [
             clocks.reference.wanted.eq(camera.reference_wanted),
@@ -255,7 +258,7 @@ def camera_target(
     TargetError
         If the sensor has more lanes, or an external clock cannot be used.
     """
-    config = camera_config(options)
+    config = replace(camera_config(options), temperature=True)
     check_lanes(board, config, sensor_lanes)
     if config.reference_hz:
         made = platform()

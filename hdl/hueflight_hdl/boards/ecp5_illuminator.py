@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from amaranth.build import Platform
 from amaranth.hdl import Elaboratable, Module, Signal
@@ -16,6 +17,7 @@ from ..illuminator.pulse_generator.config import PulseConfig
 from .ecp5_clocks import CLOCK_RATIO, PULSE_HZ, Ecp5Clocks, check_clocks
 from .ecp5_pll import pll_place
 from .ecp5_reference import conversion, reference_from_pins
+from .ecp5_temperature import add_temperature
 from .illuminator_pins import add_from_platform
 from .illuminator_target import target_of
 from .pins import drive
@@ -92,6 +94,7 @@ class Ecp5Illuminator(Elaboratable):
         delays = {f"channel{channel}": line for channel, line in enumerate(lines)}
         gearing = Ecp5Gearing(clocks.io_reset, delays=delays)
         illuminator = add_from_platform(m, self.config, gearing, platform, clocks.failed)
+        m.d.comb += illuminator.temperature.eq(add_temperature(m, self.config.sync_hz))
         for channel, line in enumerate(lines):
             m.d.comb += [
                 line.load.eq(illuminator.fine_load),
@@ -150,7 +153,7 @@ def illuminator_target(
     made = platform()
     check_clocks(made.default_clk_frequency, pulse_hz)
     config = choose_illuminator(
-        ecp5_config(pulse_hz=pulse_hz),
+        replace(ecp5_config(pulse_hz=pulse_hz), temperature=True),
         options,
         board=board,
         leds=leds,

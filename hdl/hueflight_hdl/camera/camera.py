@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from amaranth.hdl import Module, Mux, Signal, Value
+from amaranth.hdl import Module, Mux, Signal, Value, signed
 from amaranth.lib import data, stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 
@@ -17,7 +17,7 @@ from hueflight_protocol.wire import FrameFlags
 from ..common.version import VERSION
 from ..control.messages import request_stream, response_stream
 from ..control.register_file import RegisterFile
-from ..control.standard_block import add_control
+from ..control.standard_block import UNKNOWN, add_control
 from ..link.packet_word import WORD_LAYOUT
 from .clock import camera_clock_members, connect_clock
 from .counters import CaptureCounters
@@ -78,6 +78,8 @@ class CameraConfig:
         Hash of the sources; see `common.version.source_hash`.
     reference_hz : int
         Frequency of the external clock that the board can run from; 0 if it cannot.
+    temperature : bool
+        The board measures its temperature.
 
     Raises
     ------
@@ -98,6 +100,7 @@ class CameraConfig:
     serial: int = 0
     source: int = 0
     reference_hz: int = 0
+    temperature: bool = False
 
     def __post_init__(self) -> None:
         if self.scene is not None:
@@ -150,6 +153,8 @@ class Camera(wiring.Component):
         synchronous. A capture that is on ends at once, as with the register's ``abort``.
     time_sync : In(1), time_sync_out : Out(1)
         Pins of `TimeSync`.
+    temperature : In(signed(32))
+        In millidegrees Celsius or `TEMPERATURE_UNKNOWN`, where the board measures it.
     """
 
     def __init__(self, config: CameraConfig) -> None:
@@ -189,6 +194,7 @@ class Camera(wiring.Component):
                 "marker": In(MARKER_BITS),
                 "missed": In(1),
                 **(camera_clock_members() if config.reference_hz else {}),
+                **({"temperature": In(signed(32))} if config.temperature else {}),
             }
         )
 
@@ -203,13 +209,16 @@ class Camera(wiring.Component):
                 sensor=self.config.sensor,
                 scene=self.config.scene is not None,
                 overlap=self.config.overlap or not self.config.sensor,
+                temperature=self.config.temperature,
                 **({"external_clock": 1} if self.config.reference_hz else {}),
             ),
         }
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        engine = add_control(m, self._registers)
+        temperature = self.temperature if self.config.temperature else UNKNOWN
+        engine = add_control(m, self._registers, temperature=temperature)
+        m.d.comb += self._messenger.temperature.eq(temperature)
         m.submodules.exposure = self._exposure
         m.submodules.synthetic = self._synthetic
         m.submodules.guard = self._guard

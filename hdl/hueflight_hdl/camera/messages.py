@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from amaranth.hdl import Array, Cat, Const, Module, Mux, Signal, Value
+from amaranth.hdl import Array, Cat, Const, Module, Mux, Signal, Value, signed
 from amaranth.lib import data, enum, stream, wiring
 from amaranth.lib.wiring import In, Out
 
@@ -15,7 +15,6 @@ from hueflight_protocol.wire import (
     EVENT_BODY,
     PACKET_HEADER,
     STATUS_BODY,
-    TEMPERATURE_UNKNOWN,
     TEST_BODY,
     EventCode,
     EventLevel,
@@ -79,6 +78,8 @@ class Messenger(wiring.Component):
         A status or a test packet is wanted.
     capture : In(32), now : In(64), counters : In
         What packets say; `counters` see `COUNTERS_LAYOUT`.
+    temperature : In(signed(32))
+        In status packets, in millidegrees Celsius.
     pattern, words, seed : In
         Of test packets; one of no words is not sent.
     idle : Out(1)
@@ -96,6 +97,7 @@ class Messenger(wiring.Component):
                 "capture": In(32),
                 "now": In(64),
                 "counters": In(COUNTERS_LAYOUT),
+                "temperature": In(signed(32)),
                 "pattern": In(PatternKind),
                 "words": In(WORDS_BITS),
                 "seed": In(32),
@@ -279,8 +281,8 @@ class Messenger(wiring.Component):
     def _status(self) -> dict[str, Value]:
         names = ("frames_sent", "frames_dropped", "frames_aborted", "triggers_lost")
         names += ("stall_clocks", "buffer_peak")
-        unknown = Const(TEMPERATURE_UNKNOWN & 0xFFFF_FFFF, 32)
-        return {name: self.counters[name] for name in names} | {"temperature_mdeg": unknown}
+        told: dict[str, Value] = {name: self.counters[name] for name in names}
+        return told | {"temperature_mdeg": self.temperature.as_unsigned()}
 
 
 def record_words(layout: Layout, values: Mapping[str, Value]) -> Array:

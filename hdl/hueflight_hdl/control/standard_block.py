@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Const, Module, Signal
+from amaranth.hdl import Const, Module, Signal, ValueLike
 
 from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
 
@@ -11,8 +11,13 @@ from ..common.counter import SaturatingCounter
 from .engine import ControlEngine
 from .register_file import RegisterFile
 
+UNKNOWN = Const(TEMPERATURE_UNKNOWN & 0xFFFF_FFFF, 32)
+"""Temperature of a board that does not measure it."""
 
-def add_control(m: Module, registers: RegisterFile, *, clock_ratio: int = 1) -> ControlEngine:
+
+def add_control(
+    m: Module, registers: RegisterFile, *, clock_ratio: int = 1, temperature: ValueLike = UNKNOWN
+) -> ControlEngine:
     """Add a control engine for a register file, and connect the common status registers.
 
     Parameters
@@ -22,6 +27,8 @@ def add_control(m: Module, registers: RegisterFile, *, clock_ratio: int = 1) -> 
     registers : RegisterFile
     clock_ratio : int
         Device clocks (as `clock_hz` has it) in one clock of `sync`.
+    temperature : ValueLike
+        Temperature in millidegrees Celsius, by default not measured.
 
     Returns
     -------
@@ -45,7 +52,7 @@ def add_control(m: Module, registers: RegisterFile, *, clock_ratio: int = 1) -> 
     m.d.sync += uptime.eq(uptime + clock_ratio)
     m.d.comb += [
         registers.uptime.value.eq(uptime),
-        registers.temperature.value.eq(Const(TEMPERATURE_UNKNOWN, 32)),
+        registers.temperature.value.eq(temperature),
     ]
     for name, width, event, value in (
         ("requests", 32, engine.answered, registers.requests.value),

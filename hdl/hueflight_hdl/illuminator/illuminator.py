@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Module, Mux, Signal, signed
 from amaranth.lib import data, wiring
 from amaranth.lib.cdc import FFSynchronizer
 from amaranth.lib.wiring import In, Out, connect, flipped
@@ -60,6 +60,8 @@ class IlluminatorConfig:
     fine_steps : int
         Settings of the fine delay line that the board's gearing has for each channel; 0 if it has
         none.
+    temperature : bool
+        The board measures its temperature.
     """
 
     pulse: PulseConfig = field(default_factory=PulseConfig)
@@ -72,6 +74,7 @@ class IlluminatorConfig:
     memory_style: str | None = None
     reference_hz: int = 0
     fine_steps: int = 0
+    temperature: bool = False
 
     def __post_init__(self) -> None:
         if self.clock_ratio < 1:
@@ -117,6 +120,7 @@ def _pin_members(config: IlluminatorConfig) -> dict[str, wiring.Member]:
         "clock_failed": In(1),
         **(clock_members() if config.reference_hz else {}),
         **(fine if config.fine_steps else {}),
+        **({"temperature": In(signed(32))} if config.temperature else {}),
     }
 
 
@@ -148,6 +152,8 @@ class IlluminatorCore(wiring.Component):
         `boards.reference_clock` made of it, asynchronous.
     fine_load : Out(1), fine_move : Out(channels)
         Control of the fine delay lines, where there are any: see `FineDelays`.
+    temperature : In(signed(32))
+        In millidegrees Celsius or `TEMPERATURE_UNKNOWN`, where the board measures it; in `sync`.
     """
 
     def __init__(self, config: IlluminatorConfig) -> None:
@@ -169,7 +175,8 @@ class IlluminatorCore(wiring.Component):
             lock_of=_lock_of,
             locks=4 if self.config.fine_steps else 3,
         )
-        engine = add_control(m, registers, clock_ratio=self.config.clock_ratio)
+        measured = {"temperature": self.temperature} if self.config.temperature else {}
+        engine = add_control(m, registers, clock_ratio=self.config.clock_ratio, **measured)
         connect(m, flipped(self.requests), engine.requests)
         connect(m, engine.responses, flipped(self.responses))
         generator = PulseGenerator(self.config.pulse, memory_style=self.config.memory_style)
@@ -211,6 +218,7 @@ class IlluminatorCore(wiring.Component):
             "serial": self.config.serial,
             "features": registers["features"].encode(
                 clock_supervision=self.config.clock_supervision,
+                temperature=self.config.temperature,
                 **({"external_clock": 1} if self.config.reference_hz else {}),
                 **({"fine_delay": 1} if self.config.fine_steps else {}),
             ),

@@ -16,7 +16,7 @@ from hueflight.memory import LIMIT_NAME
 
 #: summary of each command; function NAME of module ``hueflight.cli.NAME`` runs it
 COMMANDS = {
-    "board": "Test an illuminator, choose a board's clock, or measure the skew of LEDs.",
+    "board": "Test a board, choose its clock, or measure the skew of LEDs.",
     "calibrate": "Make a calibration from captures of a flat target.",
     "capture": "Record a capture from the camera.",
     "check": "Check with a new reference capture whether a calibration still holds.",

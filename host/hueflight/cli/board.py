@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,10 +15,12 @@ from hueflight.cli.exit_codes import FAILED
 from hueflight.cli.output import error_console, print_notice, show
 from hueflight.devices.built_in_rigs import open_usb_camera
 from hueflight.devices.camera import Camera
+from hueflight.devices.camera_selftest import run_camera_selftest
 from hueflight.devices.clock_choice import ClockName
 from hueflight.devices.errors import DeviceError
 from hueflight.devices.illuminator import Illuminator, open_illuminator
-from hueflight.devices.selftest import WORDS, SelfTestResult, run_selftest
+from hueflight.devices.illuminator_selftest import run_illuminator_selftest
+from hueflight.devices.selftest import WORDS, SelfTestResult
 from hueflight.devices.skew import measure_skew
 
 _USB = "usb:"
@@ -33,26 +36,28 @@ def board(
     yes: Annotated[bool, Parameter(negative=())] = False,
     baud: int | None = None,
     leds: Annotated[bool, Parameter(negative="--no-leds")] = True,
+    loop: Annotated[bool, Parameter(negative=())] = False,
     dwell: float = 0.5,
     words: int = WORDS,
     record: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Test an illuminator, choose a board's clock, or measure the skew of LEDs.
+    """Test a board, choose its clock, or measure the skew of LEDs.
 
-    The test covers clock, line, each LED, and the watchdog. LEDs fire one after another, for 10 ns
-    in every 82 µs or longer. The exit code is 1 if a test fails. The clock is the board's
-    oscillator or an external one; a change disarms an illuminator. For the skew, the output of one
-    LED after another is led to the trigger input, by a wire or by its light on a photodiode; this
-    needs gateware with fine delays.
+    The test of an illuminator covers clock, line, temperature, each LED, and the watchdog. LEDs
+    fire one after another, for 10 ns in every 82 µs or longer. That of a camera covers line,
+    temperature, the link with known words, and 1000 frames. The exit code is 1 if a test fails. The
+    clock is the board's oscillator or an external one; a change disarms an illuminator. For the
+    skew, the output of one LED after another is led to the trigger input, by a wire or by its light
+    on a photodiode; this needs gateware with fine delays.
 
     Parameters
     ----------
     action : str
         What to do: selftest, clock, or skew.
     port : str
-        Serial port of the illuminator, such as /dev/ttyUSB0; for its clock, also a camera: usb: or
-        usb:SERIAL.
+        Serial port of an illuminator, such as /dev/ttyUSB0, or a camera, usb: or usb:SERIAL, which
+        has no skew.
     source : {"internal", "external"}, optional
         Clock to run from, with the action clock; by default the clock is only shown.
     led : list of int, optional
@@ -64,6 +69,8 @@ def board(
         Line rate in bits per second. By default it is found by asking the board.
     leds : bool, default True
         Whether LEDs may fire; without, the walk and the watchdog are left out.
+    loop : bool, default False
+        A wire leads the trigger output of the illuminator to its trigger input: test both.
     dwell : float, default 0.5
         Shortest time for which each LED fires, in seconds.
     words : int, default 2000
@@ -90,19 +97,23 @@ def board(
         return _skew(port, led, yes=yes, baud=baud, record=record, json=json)
     if action == "clock":
         return _clock(port, source, baud=baud, record=record, json=json)
-    illuminator = open_illuminator(port, baud=baud, record=record)
+    if loop and action != "selftest":
+        raise DeviceError("--loop: belongs to `hueflight board selftest`")
+    device = _open(port, baud=baud, record=record)
+    tell = partial(_tell, quiet=json)
     try:
-        results = run_selftest(
-            illuminator,
-            leds=leds,
-            words=words,
-            dwell_s=dwell,
-            tell=lambda result: _tell(result, quiet=json),
-        )
+        if isinstance(device, Camera):
+            if loop:
+                raise DeviceError(f"{port}: --loop belongs to illuminators; leave it out")
+            results = run_camera_selftest(device, words=words, tell=tell)
+        else:
+            results = run_illuminator_selftest(
+                device, leds=leds, loop=loop, words=words, dwell_s=dwell, tell=tell
+            )
     finally:
-        illuminator.close()
+        device.close()
     passed = all(result.passed for result in results)
-    identity = illuminator.identity
+    identity = device.identity
     values = {
         "board": f"{identity.board} {identity.serial}, gateware {identity.firmware}",
         "passed": passed,
@@ -114,16 +125,20 @@ def board(
     return 0 if passed else FAILED
 
 
+def _open(port: str, *, baud: int | None, record: Path | None) -> Camera | Illuminator:
+    """Open a camera on USB or an illuminator on a serial port."""
+    if not port.startswith(_USB):
+        return open_illuminator(port, baud=baud, record=record)
+    if baud is not None or record is not None:
+        raise DeviceError(f"{port}: --baud and --record belong to serial ports; leave them out")
+    return open_usb_camera(port.removeprefix(_USB))
+
+
 def _clock(
     port: str, source: ClockName | None, *, baud: int | None, record: Path | None, json: bool
 ) -> int:
     """Choose a clock, or only show which one is in use."""
-    if port.startswith(_USB):
-        if baud is not None or record is not None:
-            raise DeviceError(f"{port}: --baud and --record belong to serial ports; leave them out")
-        device: Camera | Illuminator = open_usb_camera(port.removeprefix(_USB))
-    else:
-        device = open_illuminator(port, baud=baud, record=record)
+    device = _open(port, baud=baud, record=record)
     try:
         state = device.clock() if source is None else device.choose_clock(source)
     finally:

@@ -1,35 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of an illuminator on the bench, with bounds, through its driver alone."""
+"""What the self-tests of all boards share: their results, the control line, the temperature."""
 
 from __future__ import annotations
 
-import contextlib
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from itertools import count
 from typing import Any
 
 import numpy as np
 
-from hueflight.devices.errors import DeviceError
-from hueflight.devices.illuminator import Illuminator
-from hueflight.devices.pulse_schedule import ChannelPulse, PulseSchedule
-from hueflight_protocol.illuminator_map import TriggerSource
+from hueflight.devices.board import Board
 from hueflight_protocol.typed_registers import common
-from hueflight_protocol.typed_registers import illuminator as registers
+from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
 
 WORDS = 2000
 """Words that are written and read again on the line."""
-TRAINS = 20
-"""Trains after which the walk goes on to the next LED, at least."""
-ON_NS = 10.0
-"""Longest on-time of an LED in a train, unless a tick is longer."""
-_TRAIN_TICKS = 1024
-_WATCHDOG_MS = 1000
-_SHORT_WATCHDOG_MS = 5
-_POLLS = 400
-"""Questions after which nothing that has not happened is waited for any longer."""
+HOTTEST_MDEG = 85_000
+"""Most that the junction of a commercial part may have. # Ref: Lattice FPGA-DS-02012."""
 
 
 @dataclass(frozen=True)
@@ -56,93 +43,33 @@ class SelfTestResult:
         return asdict(self)
 
 
-def run_selftest(
-    board: Illuminator,
-    /,
-    *,
-    leds: bool = True,
-    words: int = WORDS,
-    dwell_s: float = 0.0,
-    tell: Callable[[SelfTestResult], None] = lambda result: None,
-) -> tuple[SelfTestResult, ...]:
-    """Test an illuminator: its clock, its line, its LEDs one after another, and its watchdog.
+Tell = Callable[[SelfTestResult], None]
+"""Called with each result."""
 
-    LEDs fire for at most 10 ns, or one tick if that is longer, in each of the longest internal
-    periods of the board (82 µs on ECP5, a duty of 0.012 %). Afterwards the board is disarmed, waits
-    for external triggers, and has the schedule of the last LED.
+
+def line_test(board: Board, words: int, /) -> SelfTestResult:
+    """Test that random words come back, and that no message was damaged or sent again.
 
     Parameters
     ----------
-    board : Illuminator
-        The board; it must not be armed.
-    leds : bool
-        False to leave LEDs off: neither the walk nor the watchdog is tested.
+    board : Board
+        Registers of the board.
     words : int
-        Words that are written and read again on the line.
-    dwell_s : float
-        Shortest time for which each LED fires, in seconds.
-    tell : callable
-        Called with each result.
+        Words that are written and read again.
 
     Returns
     -------
-    tuple of SelfTestResult
-        Results, in the order of the tests.
-
-    Raises
-    ------
-    DeviceError
-        If the board is armed, which another program may have done, or does not answer.
+    SelfTestResult
+        The result.
     """
-    board.check_disarmed()
-    board.clear()
-    results = []
-    try:
-        for result in _tests(board, leds, words, dwell_s):
-            tell(result)
-            results.append(result)
-    except BaseException:
-        with contextlib.suppress(DeviceError):  # the first error says more
-            _leave(board)
-        raise
-    _leave(board)
-    return tuple(results)
-
-
-def _leave(board: Illuminator) -> None:
-    """Disarm the board, and let it wait for external triggers."""
-    board.disarm()
-    board.set_trigger(TriggerSource.EXTERNAL)
-    board.clear()
-
-
-def _tests(board: Illuminator, leds: bool, words: int, dwell_s: float) -> Iterator[SelfTestResult]:
-    yield _clock(board)
-    yield _line(board, words)
-    if leds:
-        for channel in range(board.capacity.channels):
-            yield _led(board, channel, dwell_s)
-        yield _watchdog(board)
-
-
-def _clock(board: Illuminator) -> SelfTestResult:
-    """Test that the board's clock has not failed since it was configured."""
-    failures = board.faults().clock_failures
-    return SelfTestResult(
-        "clock", failures == 0, f"{failures} failures", "none since configuration"
-    )
-
-
-def _line(board: Illuminator, words: int) -> SelfTestResult:
-    """Test that random words come back, and that no message was damaged or sent again."""
-    before, repeated = board.board.read(common.RequestErrors), board.board.repeated
+    before, repeated = board.read(common.RequestErrors), board.repeated
     wrong = 0
     for word in np.random.default_rng(1).integers(0, 1 << 32, words):
-        board.board.write(common.Scratch(int(word)))
-        wrong += board.board.read(common.Scratch).value != word
-    after = board.board.read(common.RequestErrors)
+        board.write(common.Scratch(int(word)))
+        wrong += board.read(common.Scratch).value != word
+    after = board.read(common.RequestErrors)
     damaged = after.crc - before.crc + after.framing - before.framing
-    repeated = board.board.repeated - repeated  # answers that were damaged on their way, too
+    repeated = board.repeated - repeated  # answers that were damaged on their way, too
     return SelfTestResult(
         "line",
         not wrong and not damaged and not repeated,
@@ -151,56 +78,24 @@ def _line(board: Illuminator, words: int) -> SelfTestResult:
     )
 
 
-def _led(board: Illuminator, channel: int, dwell_s: float) -> SelfTestResult:
-    """Test that one LED fires as often as it is triggered, and that no limit holds it back."""
-    tick = board.capacity.tick_ns
-    width = max(1, int(ON_NS / tick)) * tick
-    pulses: list[tuple[ChannelPulse, ...]] = [()] * board.capacity.channels
-    pulses[channel] = (ChannelPulse(0.0, width),)
-    period = registers.TriggerPeriod.VALUE_MAX * tick
-    board.disarm()
-    board.set_trigger(TriggerSource.SOFTWARE)
-    board.play(PulseSchedule(tuple(pulses), period_ns=_TRAIN_TICKS * tick))
-    board.clear()
-    board.arm(watchdog_ms=_WATCHDOG_MS)
-    board.set_trigger(TriggerSource.INTERNAL, period_ns=period)
-    until = time.monotonic() + dwell_s
-    for polls in count(1):
-        board.feed()
-        fired = board.counters().served >= TRAINS
-        if (fired or polls >= _POLLS) and time.monotonic() >= until:
-            break
-    armed = board.state().armed
-    board.disarm()
-    counters, faults = board.counters(), board.faults()
-    limited = faults.on_limited | faults.duty_limited
-    return SelfTestResult(
-        f"LED {channel}",
-        armed
-        and counters.served >= TRAINS
-        and not counters.ignored
-        and not limited
-        and not faults.clock_failed,
-        f"{counters.served} trains, {counters.ignored} triggers ignored"
-        + (", limited" if limited else "")
-        + ("" if armed else ", disarmed"),
-        f"at least {TRAINS} trains, none ignored, no limit reached",
-    )
+def temperature_test(board: Board, /) -> SelfTestResult:
+    """Test that the temperature is known and not too high, of a board that measures it.
 
+    Parameters
+    ----------
+    board : Board
+        Registers of the board.
 
-def _watchdog(board: Illuminator) -> SelfTestResult:
-    """Test that a board that is not fed disarms itself and says so."""
-    board.clear()
-    board.arm(watchdog_ms=_SHORT_WATCHDOG_MS)
-    began = time.monotonic()
-    for _ in range(_POLLS):
-        if not board.state().armed:
-            break
-    elapsed = time.monotonic() - began
-    disarmed, told = not board.state().armed, board.faults().watchdog
+    Returns
+    -------
+    SelfTestResult
+        The result.
+    """
+    found = board.read(common.Temperature).value
+    known = found != TEMPERATURE_UNKNOWN
     return SelfTestResult(
-        "watchdog",
-        disarmed and told,
-        f"disarmed after {1000 * elapsed:.0f} ms by the computer's clock" if disarmed else "armed",
-        f"disarms, and reports it, after {_SHORT_WATCHDOG_MS} ms without being fed",
+        "temperature",
+        known and found <= HOTTEST_MDEG,
+        f"{found / 1000:g} °C" if known else "unknown: the sensor gives no valid code",
+        f"at most {HOTTEST_MDEG / 1000:g} °C",
     )

@@ -10,13 +10,18 @@ import pytest
 
 from hueflight.devices import DeviceError
 from hueflight.devices.illuminator import Illuminator
-from hueflight.devices.selftest import run_selftest
+from hueflight.devices.illuminator_selftest import (
+    LOOP_TICKS,
+    TRAINS,
+    run_illuminator_selftest,
+)
 from hueflight.devices.transports.replay import RecordingTransport, ReplayTransport
 from hueflight.devices.transports.serial import SerialTransport
 from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
+from hueflight_hdl.testbench.ticks import words_to_ticks
 from hueflight_protocol.typed_registers.illuminator import TriggerPeriod
 
-from .conftest import WAIT_S
+from .conftest import SMALL, WAIT_S
 
 WORDS = 20  # on a simulated line
 
@@ -25,7 +30,7 @@ def test_the_gateware_passes_and_each_led_fires_alone(
     driver: Illuminator, bench: IlluminatorTestbench
 ):
     bench.record()
-    results = run_selftest(driver, words=WORDS)
+    results = run_illuminator_selftest(driver, words=WORDS)
     bench.recording = False
     assert [result.name for result in results] == [
         "clock",
@@ -47,10 +52,75 @@ def test_the_gateware_passes_and_each_led_fires_alone(
 
 def test_leds_stay_off_if_asked(driver: Illuminator, bench: IlluminatorTestbench):
     bench.record()
-    results = run_selftest(driver, words=WORDS, leds=False)
+    results = run_illuminator_selftest(driver, words=WORDS, leds=False)
     bench.recording = False
     assert [result.name for result in results] == ["clock", "line"]
     assert not bench.levels().any()
+
+
+WIRE_CLOCKS = 16
+
+
+def lead_trigger(bench: IlluminatorTestbench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lead the trigger output to the trigger input, by a wire of `WIRE_CLOCKS`."""
+    advance, outputs = bench.advance, bench._simulation.run
+    on_wire = np.zeros(WIRE_CLOCKS, np.uint8)
+
+    def run(records: np.ndarray) -> np.ndarray:
+        seen = outputs(records)
+        on_wire[:] = seen["trigger_out"]
+        return seen
+
+    def piecewise(clocks: int) -> bytes:
+        return b"".join(advance(WIRE_CLOCKS) for _ in range(clocks // WIRE_CLOCKS))
+
+    monkeypatch.setattr(bench._simulation, "run", run)
+    monkeypatch.setattr(bench, "advance", piecewise)
+    bench.trigger = lambda clock, clocks: on_wire
+
+
+def test_a_trigger_goes_round_with_all_leds_off(
+    driver: Illuminator, bench: IlluminatorTestbench, monkeypatch: pytest.MonkeyPatch
+):
+    lead_trigger(bench, monkeypatch)
+    bench.record()
+    results = run_illuminator_selftest(driver, words=1, leds=False, loop=True)
+    bench.recording = False
+    assert [result.name for result in results] == ["clock", "line", "trigger loop"]
+    assert results[-1].passed, results[-1]
+    assert not bench.levels().any()
+    assert not driver.state().busy  # it has ended with the test
+    # from one turn to the next: trigger-out, wire, and the board's own latency
+    outputs = words_to_ticks(
+        bench.recorded()["trigger_out"][:, None], lanes=SMALL.pulse.lanes, signals=1
+    )[0]
+    turns = np.diff(np.flatnonzero(np.diff(outputs.astype(np.int8)) > 0))
+    lanes = SMALL.pulse.lanes
+    expected = LOOP_TICKS - 2 * lanes + lanes * (WIRE_CLOCKS + bench.latency_clocks)
+    assert np.count_nonzero(turns == expected) >= TRAINS
+
+
+@pytest.mark.parametrize("fault", ["no wire", "double edges"])
+def test_a_trigger_that_is_lost_or_doubled_is_told(
+    driver: Illuminator, bench: IlluminatorTestbench, monkeypatch: pytest.MonkeyPatch, fault: str
+):
+    if fault == "double edges":
+        lead_trigger(bench, monkeypatch)
+        led = bench.trigger
+        assert led is not None
+        once = iter(range(1 << 30))
+
+        def doubled(clock: int, clocks: int) -> np.ndarray:
+            word = led(clock, clocks).copy()
+            if word.any() and next(once) >= 4:
+                word[-1] = 0b1010  # rings at the end of a pulse
+            return word
+
+        bench.trigger = doubled
+    results = run_illuminator_selftest(driver, words=1, leds=False, loop=True)
+    assert not results[-1].passed
+    assert ("ended" if fault == "no wire" else "triggers ignored") in results[-1].measured
+    assert " 0 triggers ignored" in results[-1].measured or fault != "no wire"
 
 
 def test_a_line_that_loses_bits_fails(driver: Illuminator, bench: IlluminatorTestbench):
@@ -64,7 +134,7 @@ def test_a_line_that_loses_bits_fails(driver: Illuminator, bench: IlluminatorTes
     impatient = Illuminator(SerialTransport(bench), timeout_s=0.5)
     bench.write = damaged
     try:
-        results = run_selftest(impatient, words=WORDS, leds=False)
+        results = run_illuminator_selftest(impatient, words=WORDS, leds=False)
     finally:
         bench.write = written
     assert not next(result for result in results if result.name == "line").passed
@@ -75,7 +145,7 @@ def test_a_failure_of_the_clock_is_told(driver: Illuminator, bench: IlluminatorT
     bench.advance(1000)
     bench.clock_failed = None
     bench.advance(1000)
-    results = run_selftest(driver, words=1, leds=False)
+    results = run_illuminator_selftest(driver, words=1, leds=False)
     assert not results[0].passed
     assert results[0].measured == "1 failures"
 
@@ -83,7 +153,7 @@ def test_a_failure_of_the_clock_is_told(driver: Illuminator, bench: IlluminatorT
 def test_an_armed_board_is_left_alone(driver: Illuminator):
     driver.arm(watchdog_ms=1000)
     with pytest.raises(DeviceError, match="is armed"):
-        run_selftest(driver)
+        run_illuminator_selftest(driver)
     assert driver.state().armed
 
 
@@ -91,14 +161,14 @@ def test_recorded_transactions_replay(bench: IlluminatorTestbench, tmp_path: Pat
     path = tmp_path / "selftest.jsonl"
     Illuminator(SerialTransport(bench), timeout_s=WAIT_S).disarm()
     line = RecordingTransport(SerialTransport(bench), path)
-    recorded = run_selftest(Illuminator(line, timeout_s=WAIT_S), words=5, leds=False)
+    recorded = run_illuminator_selftest(Illuminator(line, timeout_s=WAIT_S), words=5, leds=False)
     line.close()
     again = Illuminator(ReplayTransport(path))
-    assert run_selftest(again, words=5, leds=False) == recorded
+    assert run_illuminator_selftest(again, words=5, leds=False) == recorded
     with pytest.raises(DeviceError, match="no message that was sent was recorded"):
         again.state()
     with pytest.raises(DeviceError, match="is sent, but"):
-        run_selftest(Illuminator(ReplayTransport(path)), words=6, leds=True)
+        run_illuminator_selftest(Illuminator(ReplayTransport(path)), words=6, leds=True)
     path.write_text("{")
     with pytest.raises(DeviceError, match="recorded transactions"):
         ReplayTransport(path)

@@ -13,7 +13,8 @@ from hueflight_hdl.build.project import write_project
 from hueflight_hdl.testbench.board import compile_board, run_board
 from hueflight_protocol.control import Result
 from hueflight_protocol.illuminator_map import ARM_KEY
-from support.board_session import ULX3S, US, Board, Session, lit
+from hueflight_protocol.wire import TEMPERATURE_UNKNOWN
+from support.board_session import MAP, ULX3S, US, Board, Session, lit
 
 FILES = Path(__file__).parents[1] / "boards" / "examples"
 
@@ -186,3 +187,16 @@ def test_the_hx8k_is_disarmed_after_a_loss_of_lock_but_needs_a_clock(
         assert lit(run, again - US, again) == (mode == 2)
         assert not lit(run, again + 30 * US, again + 40 * US)
         assert not run.responses()[state].payload[0] & 1, "armed after the failure"
+
+
+@pytest.mark.parametrize("board", [ULX3S, ECPIX5], **NAMES)
+def test_the_temperature_is_that_of_the_sensor(compiled: Callable[[Board], Path], board: Board):
+    session = Session(board)
+    early = session.read("temperature")
+    features = session.read("features")
+    session.wait(11_000 * US)
+    late = session.read("temperature")
+    answers = run_board(compiled(board), session).responses()
+    assert MAP["features"].decode(answers[features].payload[0])["temperature"]
+    told = [MAP["temperature"].decode(answers[at].payload[0])["value"] for at in (early, late)]
+    assert told == [TEMPERATURE_UNKNOWN, 70_000]

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Behavioural models of the ECP5 primitives that the boards use, for simulation of a whole
 // generated top. Function and clock relations follow Lattice FPGA-TN-02200 (sysCLOCK PLL/DLL) and
-// FPGA-TN-02035 (high-speed I/O interface, GDDRX2). The only delays are those of DELAYF.
+// FPGA-TN-02035 (high-speed I/O interface, GDDRX2). The only delays are those of DELAYF and DTR.
 
 // State of the PLL as the testbench wants it: 0 works, 1 loses lock and goes on oscillating, 2
 // loses lock and stops.
@@ -181,4 +181,20 @@ endmodule
 // A released pin is low: its pull-down is on.
 module OBZ (input I, T, output O);
     assign O = T ? 1'b0 : I;
+endmodule
+
+// The temperature sensor, by FPGA-TN-02210. A measurement takes some time, in which no code is valid.
+module DTR #(
+    parameter integer CODE = 33  // 70 degrees Celsius
+) (
+    input STARTPULSE,
+    output DTROUT7, DTROUT6, DTROUT5, DTROUT4, DTROUT3, DTROUT2, DTROUT1, DTROUT0
+);
+    reg valid = 0;
+    assign DTROUT7 = valid;
+    assign {DTROUT6, DTROUT5, DTROUT4, DTROUT3, DTROUT2, DTROUT1, DTROUT0} = valid ? CODE[6:0] : 7'd0;
+    always @(posedge STARTPULSE) begin
+        valid = 0;
+        #50000000 valid = 1;
+    end
 endmodule

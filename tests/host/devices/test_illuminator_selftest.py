@@ -8,8 +8,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from hueflight.devices import selftest
+from hueflight.devices import illuminator_selftest
 from hueflight.devices.illuminator import Illuminator
+from hueflight.devices.selftest import SelfTestResult
 from hueflight.emulation.simulated_transport import SimulatedTransport
 from hueflight_protocol.registers import Register
 
@@ -25,19 +26,21 @@ class FiringIlluminator(SoftwareIlluminator):
         super()._wrote(register, indices, word)
         if register.name == "watchdog_feed":
             self.feeds += 1
-            self.registers.set("triggers_served", value=selftest.TRAINS)
+            self.registers.set("triggers_served", value=illuminator_selftest.TRAINS)
 
 
-def walk(board: SoftwareIlluminator, *, dwell_s: float) -> selftest.SelfTestResult:
+def walk(board: SoftwareIlluminator, *, dwell_s: float) -> SelfTestResult:
     """Result of the only LED of a board."""
     driver = Illuminator(SimulatedTransport(board.registers.handle, "software"))
-    results = selftest.run_selftest(driver, words=1, dwell_s=dwell_s)
+    results = illuminator_selftest.run_illuminator_selftest(driver, words=1, dwell_s=dwell_s)
     return next(result for result in results if result.name == "LED 0")
 
 
 def test_an_led_fires_for_the_time_that_is_asked(monkeypatch: pytest.MonkeyPatch):
     seconds = count()
-    monkeypatch.setattr(selftest, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
+    monkeypatch.setattr(
+        illuminator_selftest, "time", SimpleNamespace(monotonic=lambda: next(seconds))
+    )
     board = FiringIlluminator(channels=1)
     assert walk(board, dwell_s=1000).passed
     assert board.feeds == 1000

@@ -86,8 +86,9 @@ def _tests(camera: Camera, words: int, frames: int) -> Iterator[SelfTestResult]:
 def _drain(
     camera: Camera, quiet_s: float, keep: Callable[[bytes], object] = lambda piece: None
 ) -> None:
-    """Read until nothing has come for some time."""
-    while piece := camera.read(quiet_s):
+    """Read until nothing has come for some time; not for ever, from a camera that can't stop."""
+    until = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < until and (piece := camera.read(quiet_s)):
         keep(piece)
 
 

@@ -226,6 +226,7 @@ CORRELATION_SIZES = Record(
     "What all pixels of a correlation share; lags in bins.",
     (
         Field("half_width", "float64", "of the centroid's window"),
+        Field("highest", "float64", "count of all references"),
         Field("search", "int32", "largest lag that is searched"),
         Field("reach", "int32", "half the window in whole bins"),
         Field("most", "int32", "largest lag that the window reaches"),

@@ -166,6 +166,7 @@ def _made_ready(
             search=search.search,
             reach=reach,
             most=search.most,
+            highest=reference.max(initial=0),
             circular=circular,
             bands=bands,
             outside=outside.sum(),

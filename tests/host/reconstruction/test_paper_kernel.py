@@ -103,6 +103,38 @@ def test_counts_that_lie_apart_and_large_ones(instrument, calibration, draw, dty
     assert_same(*both(light * dtype(60), calibration))  # beyond pairs of 15 bits
 
 
+@pytest.mark.usefixtures("fit_build")
+@pytest.mark.parametrize(
+    ("light_peak", "reference_peak"),
+    [(127, 127), (128, 127), (127, 255), (100, 200), (63, 255), (63, 256), (31, 255), (9, 255)],
+)
+@pytest.mark.parametrize("lit", [1, 2, 4])
+def test_counts_at_the_limits_of_bytes(calibration, light_peak, reference_peak, lit):
+    """Products of bytes are added up in 16 bits as long as none can overflow.
+
+    Light in every second or fourth bin adds up in half or a quarter of the places.
+    """
+    bins = np.arange(calibration.reference.shape[-1])
+    pulse = np.maximum(1 - ((bins - 250) / 48.0) ** 8, 0)
+    reference = np.rint(pulse * reference_peak) + np.zeros_like(calibration.reference)
+    light = np.zeros((144, bins.size), np.uint16)
+    for pixel, row in enumerate(light):
+        row[:] = np.rint(np.roll(pulse, pixel % 31 - 15) * light_peak) * (bins % lit == 0)
+    assert_same(*both(light, replace(calibration, reference=reference)))
+
+
+@pytest.mark.usefixtures("fit_build")
+def test_two_products_of_bytes_do_not_saturate(calibration):
+    bins = np.arange(calibration.reference.shape[-1])
+    reference = np.maximum(1 - ((bins - 250) / 20.0) ** 2, 0) * 255
+    other = replace(
+        calibration, reference=np.rint(reference) + np.zeros_like(calibration.reference)
+    )
+    light = np.zeros((144, bins.size), np.uint16)
+    light[:, [256, 258]] = 127
+    assert_same(*both(light, other))
+
+
 @compiled
 def test_windows_that_wrap_or_end(calibration, instrument, draw):
     light = instrument.time_bins().in_time_order(draw(instrument, depth=0.9, photons=620))

@@ -5,7 +5,7 @@
 #define HUEFLIGHT_FIT_ABI_H
 #include <stdint.h>
 
-#define ABI "485b4de5d789c170" /* hash of what follows */
+#define ABI "badb9a43212077a4" /* hash of what follows */
 
 enum { MOST_BANDS = 30 }; /* bands that there is room for */
 enum { BLOCK_BINS = 16 }; /* bins of a block */
@@ -101,6 +101,7 @@ _Static_assert(sizeof(FitRules) == 192, "FitRules is laid out as NumPy lays it o
 /* What all pixels of a correlation share; lags in bins. */
 typedef struct {
     double half_width; /* of the centroid's window */
+    double highest; /* count of all references */
     int32_t search; /* largest lag that is searched */
     int32_t reach; /* half the window in whole bins */
     int32_t most; /* largest lag that the window reaches */
@@ -108,7 +109,7 @@ typedef struct {
     int32_t bands;
     int32_t outside; /* bins in no window */
 } CorrelationSizes;
-_Static_assert(sizeof(CorrelationSizes) == 32, "CorrelationSizes is laid out as NumPy lays it out");
+_Static_assert(sizeof(CorrelationSizes) == 40, "CorrelationSizes is laid out as NumPy lays it out");
 
 /* Ratios of a band's photons to background at which tables are given. */
 typedef struct {

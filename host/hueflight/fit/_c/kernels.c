@@ -451,8 +451,8 @@ static int make_paper(const Call *call, Paper *paper)
         return 0;
     *paper = (Paper){
         .bins = (int)held[COUNTS_GIVEN].shape[1], .search = sizes->search, .reach = sizes->reach,
-        .most = sizes->most, .circular = sizes->circular, .bands = sizes->bands,
-        .outside = sizes->outside, .half_width = sizes->half_width,
+        .most = sizes->most, .highest = (int)sizes->highest, .circular = sizes->circular,
+        .bands = sizes->bands, .outside = sizes->outside, .half_width = sizes->half_width,
         .windows = (int)(held[CORRELATIONS_WINDOWS].len / 12),
         .window = held[CORRELATIONS_WINDOWS].buf,
         .gaps = (int)(held[CORRELATIONS_GAPS].len / 8), .gap = held[CORRELATIONS_GAPS].buf,

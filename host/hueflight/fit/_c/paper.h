@@ -61,7 +61,7 @@ INLINE double between(const double *table, double from, int first, double to, in
 }
 
 /* Delays in bins: from the highest lag to the centroid of a window that follows it. */
-INLINE void follow(const Paper *paper, Group *group, vec pedestal, double *delay)
+APART void follow(const Paper *paper, Group *group, vec pedestal, double *delay)
 {
     double from[LANES], to[LANES], edge = paper->most + 0.5;
     int first[LANES], last[LANES], some = paper->most + 1;
@@ -89,70 +89,87 @@ INLINE void follow(const Paper *paper, Group *group, vec pedestal, double *delay
 }
 
 /* Running sums of references that are moved by whole bins. */
-INLINE void shift_references(const Paper *paper, Group *group, const int32_t *whole)
+APART void shift_references(const Paper *paper, Group *group, const int32_t *whole)
 {
     int count = paper->bins + 2 * paper->reach;
     const char *row[LANES];
     for (int lane = 0; lane < LANES; lane++)
         row[lane] = group->reference[lane] - 2 * (whole[lane] + paper->reach);
-    ivec pairs[LANES], before = {0}, *to = group->shifted - paper->reach;
+    ivec pairs[LANES], before = {0};
+    vec *to = group->shifted - paper->reach;
     for (int at = 0; at < count; at += 2 * LANES, to += 2 * LANES) {
         transposed_pairs(&REFERENCES, row, at, count, pairs);
         before = transposed_running_sums(pairs, before, to);
     }
-    *to = before;
+    *to = __builtin_convertvector(before, vec);
 }
 
-/* Σ m·h(i + m) over ±reach of counts h whose running sums are these before bin i, and some of
- * them. */
+/* Σ m·h(i + m) over ±reach of counts h whose running sums are these before bin i, which is
+ * reach·(left + right) − between. */
 typedef struct {
-    const ivec *running;
-    ivec slope, here, left, right;
+    const vec *running; /* or whole numbers */
+    vec here, left, right, between;
 } Slope;
 
-INLINE Slope slope_at(const ivec *running, int reach)
+INLINE vec sum_before(const vec *running, ptrdiff_t bin, int whole)
 {
-    Slope slope = {running, {0}, running[0], running[-reach], running[reach + 1]};
-    for (int m = -reach; m <= reach; m++)
-        slope.slope += m * (running[m + 1] - running[m]);
+    return whole ? __builtin_convertvector((ivec)running[bin], vec) : running[bin];
+}
+
+INLINE Slope slope_at(const vec *running, int reach, int whole)
+{
+    Slope slope = {running, sum_before(running, 0, whole), sum_before(running, -reach, whole),
+                   sum_before(running, reach + 1, whole), {0}};
+    for (int m = 1 - reach; m <= reach; m++)
+        slope.between += sum_before(running, m, whole);
     return slope;
 }
 
-/* Goes on to the next bin, by what enters and leaves; returns the bin's counts. */
-INLINE vec advance(Slope *s, ptrdiff_t reach)
+/* Square of the slope. */
+INLINE vec squared(const Slope *s, int reach)
 {
-    ivec next = s->running[1], left = s->running[1 - reach], right = s->running[reach + 2];
-    ivec counts = next - s->here;
-    s->slope += (int32_t)reach * (left - s->left + right - s->right) + left - s->right;
-    s->here = next, s->left = left, s->right = right;
-    s->running++;
-    return __builtin_convertvector(counts, vec);
+    vec slope = (float)reach * (s->left + s->right) - s->between;
+    return slope * slope;
 }
 
-INLINE vec squared(ivec x)
+/* Goes on to the next bin, by what enters and leaves; returns the bin's counts. */
+INLINE vec advance(Slope *s, ptrdiff_t reach, int whole)
 {
-    vec y = __builtin_convertvector(x, vec);
-    return y * y;
+    vec next = sum_before(s->running, 1, whole), counts = next - s->here;
+    s->left = sum_before(s->running, 1 - reach, whole);
+    s->between += s->right - s->left;
+    s->right = sum_before(s->running, reach + 2, whole);
+    s->here = next;
+    s->running++;
+    return counts;
 }
 
 /* Variance of the centroid but for its gain: each photon of light moves it by the reference's
- * slope, each of the reference by the light's; see `_centroid_deviation` of paper.py. */
-INLINE vec scatter(const Paper *paper, const Group *group)
+ * slope, each of the reference by the light's; see `_centroid_deviation` of paper.py. `whole` tells
+ * whether running sums of light are whole numbers. */
+INLINE vec scatter_of(const Paper *paper, Group *group, int whole)
 {
     int reach = paper->reach;
-    Slope light = slope_at(group->running, reach), reference = slope_at(group->shifted, reach);
+    Slope light = slope_at((const vec *)group->running, reach, whole);
+    Slope reference = slope_at(group->shifted, reach, 0);
     vec by_light = {0}, by_reference = {0};
-    for (size_t i = 0, bins = (size_t)paper->bins; i < bins; i++) {
-        fetch_next(group, i);
-        vec moves = squared(reference.slope), moved = squared(light.slope);
-        by_light += moves * advance(&light, reach);
-        by_reference += moved * advance(&reference, reach);
+    for (int i = 0; i < paper->bins; i++) {
+        if (i % (16 / LANES) == 0)
+            fetch_next(group);
+        vec moves = squared(&reference, reach), moved = squared(&light, reach);
+        by_light += moves * advance(&light, reach, whole);
+        by_reference += moved * advance(&reference, reach, 0);
     }
     return by_light + by_reference;
 }
 
+APART vec scatter(const Paper *paper, Group *group)
+{
+    return group->step == 1 ? scatter_of(paper, group, 1) : scatter_of(paper, group, 0);
+}
+
 /* How much less than its mass the peak moves the centroid, as its window follows. */
-INLINE void gains(const Paper *paper, Group *group, vec pedestal, const int32_t *whole,
+APART void gains(const Paper *paper, Group *group, vec pedestal, const int32_t *whole,
                   double *gain)
 {
     int reach = paper->reach, low = paper->most, high = -paper->most;
@@ -178,8 +195,15 @@ INLINE void gains(const Paper *paper, Group *group, vec pedestal, const int32_t 
     }
 }
 
+/* A pixel's counts before a bin of the sensor. */
+INLINE int64_t whole_before(const Group *group, int lane, int bin)
+{
+    const int32_t *running = (const int32_t *)(group->running + bin) + lane;
+    return group->step == 1 ? *running : (int64_t)*(const float *)running;
+}
+
 /* A pixel's counts before a bin that may lie on another turn. */
-INLINE int64_t before(const Paper *paper, const int32_t *running, int bin)
+INLINE int64_t before(const Paper *paper, const Group *group, int lane, int bin)
 {
     int bins = paper->bins;
     if (!paper->circular)
@@ -189,19 +213,29 @@ INLINE int64_t before(const Paper *paper, const int32_t *running, int bin)
         turns--;
     for (; bin > bins; bin -= bins)
         turns++;
-    return running[bin * LANES] + turns * running[bins * LANES];
+    return whole_before(group, lane, bin) + turns * whole_before(group, lane, bins);
 }
 
 /* A pixel's counts in the bands' windows, moved by `shift` bins. */
-INLINE void sum_windows(const Paper *paper, const int32_t *running, int shift, double *sums)
+INLINE void sum_windows(const Paper *paper, const Group *group, int lane, int shift, double *sums)
 {
     for (int k = 0; k < paper->bands; k++)
         sums[k] = 0;
     for (int w = 0; w < paper->windows; w++) {
         const int32_t *window = paper->window + (size_t)w * 3;
-        sums[window[0]] += (double)(before(paper, running, window[2] + shift)
-                                    - before(paper, running, window[1] + shift));
+        sums[window[0]] += (double)(before(paper, group, lane, window[2] + shift)
+                                    - before(paper, group, lane, window[1] + shift));
     }
+}
+
+/* A pixel's counts per bin in no window. */
+INLINE double background(const Paper *paper, const Group *group, int lane)
+{
+    int64_t apart = 0;
+    for (int g = 0; g < paper->gaps; g++)
+        apart += whole_before(group, lane, paper->gap[2 * g + 1])
+               - whole_before(group, lane, paper->gap[2 * g]);
+    return paper->outside ? (double)apart / paper->outside : NAN;
 }
 
 /* Pixels of `which` from `at` on, LANES at most. */
@@ -223,16 +257,13 @@ INLINE void correlate_group(const Paper *paper, Group *group, const Light *light
     gains(paper, group, pedestal, whole, gain);
     shift_references(paper, group, whole);
     vec variance = scatter(paper, group);
-    ivec apart = {0};
-    for (int g = 0; g < paper->gaps; g++)
-        apart += group->running[paper->gap[2 * g + 1]] - group->running[paper->gap[2 * g]];
     for (int lane = 0; lane < count; lane++) {
         size_t place = at + (size_t)lane;
         results->delay[place] = delay[lane];
         results->deviation[place] = gain[lane] > 0 ? sqrt((double)variance[lane]) / gain[lane]
                                                    : INFINITY;
-        results->background[place] = paper->outside ? (double)apart[lane] / paper->outside : NAN;
-        sum_windows(paper, (const int32_t *)group->running + lane,
+        results->background[place] = background(paper, group, lane);
+        sum_windows(paper, group, lane,
                     (int)rint(delay[lane] + paper->pixel_delays[pixel[lane]]),
                     results->sums + place * (size_t)paper->bands);
     }

@@ -162,30 +162,31 @@ INLINE ivec transposed_pairs(const Light *light, const char *const *row, int at,
         transposed_counts(light, row, at, end, counts);
         for (int i = 0; i < LANES; i++) {
             pairs[i] = paired(counts[2 * i], counts[2 * i + 1]);
-            seen |= ((counts[2 * i] | counts[2 * i + 1]) & ~0x7fff) != 0;
+            seen |= pairs[i] | (((counts[2 * i] | counts[2 * i + 1]) & ~0x7fff) != 0);
         }
     }
     return seen;
 }
 
 /* Sums up to each count of pairs, the count itself not included; returns the sum of all. */
-INLINE ivec transposed_running_sums(const ivec *pairs, ivec before, ivec *running)
+INLINE ivec transposed_running_sums(const ivec *pairs, ivec before, vec *running)
 {
     for (int i = 0; i < LANES; i++) {
-        running[2 * i] = before;
+        running[2 * i] = __builtin_convertvector(before, vec);
         before += first_of(pairs[i]);
-        running[2 * i + 1] = before;
+        running[2 * i + 1] = __builtin_convertvector(before, vec);
         before += second_of(pairs[i]);
     }
     return before;
 }
 
-INLINE int any(ivec mask)
+/* Bits that some lane has. */
+INLINE int32_t any(ivec mask)
 {
     int32_t some = 0;
     for (int lane = 0; lane < LANES; lane++)
         some |= mask[lane];
-    return some != 0;
+    return some;
 }
 
 /* Products of the lower and of the upper 16 bits, signed, added. */
@@ -202,3 +203,22 @@ INLINE ivec pair_products(ivec a, ivec b)
     return c * d + (a >> 16) * (b >> 16);
 #endif
 }
+
+/* Adds to two sums of 16 bits each the products of bytes, of two lower and of two upper ones: without
+ * sign those of `a`, with a sign those of `b`. */
+#if defined(__AVX512BW__) && LANES == 16
+#define BYTE_PRODUCTS 1
+INLINE ivec add_byte_products(ivec sums, ivec a, ivec b)
+{
+    return (ivec)_mm512_add_epi16((__m512i)sums, _mm512_maddubs_epi16((__m512i)a, (__m512i)b));
+}
+#elif defined(__AVX2__) && LANES == 8
+#define BYTE_PRODUCTS 1
+INLINE ivec add_byte_products(ivec sums, ivec a, ivec b)
+{
+    return (ivec)_mm256_add_epi16((__m256i)sums, _mm256_maddubs_epi16((__m256i)a, (__m256i)b));
+}
+#else
+#define BYTE_PRODUCTS 0 /* they are not used */
+INLINE ivec add_byte_products(ivec sums, ivec a, ivec b) { return sums + a + b; }
+#endif

@@ -101,6 +101,31 @@ def test_capture_is_delivered_and_told_of(small):
     assert camera.read("periods")["value"] == 9 * 4
 
 
+def test_triggers_that_the_illuminator_missed_are_counted_and_told(small):
+    camera = small()
+    synthetic(camera, frames=4, exposure=20)
+
+    def miss(times):
+        for number in range(times):
+            records = camera.inputs(40)
+            records["missed"][5:25] = 1  # an edge each, however long
+            camera.run(records)
+
+    miss(3)  # before the capture: not of it
+    camera.write("run", start=1)
+    miss(5)
+    camera.run(clocks=2000)
+    miss(2)
+    camera.run(clocks=6000)
+    miss(4)  # after it
+    packets, _ = parse(camera.packets())
+    told = [p for p in packets if isinstance(p, Event) and p.code == EventCode.TRIGGER_LOST]
+    assert told
+    assert sum(event.value for event in told) == told[-1].count == 7
+    assert camera.read("triggers_lost")["value"] == 7
+    assert camera.read("faults")["trigger_lost"] == 1
+
+
 @pytest.mark.parametrize("overlap", [False, True])
 def test_a_capture_as_a_stream(compiled, overlap):
     stream = camera_packets(

@@ -87,6 +87,16 @@ def test_the_schedule_is_what_the_pins_do(driver: Illuminator, bench: Illuminato
     assert (found.smallest, found.largest, found.last) == (0, 3, starts[-1] % 4)
     counters = driver.counters()
     assert (counters.seen, counters.served, counters.ignored) == (50, 50, 0)
+    driver.clear()
+    assert driver.board.read(registers.Phase) == registers.Phase()
+
+
+def test_the_state_tells_whether_a_train_runs(driver: Illuminator):
+    driver.play(THREE)
+    driver.set_trigger(TriggerSource.INTERNAL, period_ns=1600, restart=True)  # before it ends
+    assert driver.state().busy
+    driver.set_trigger(TriggerSource.SOFTWARE)
+    assert not driver.state().busy
 
 
 def test_ignored_triggers_and_restarts_are_counted(

@@ -173,6 +173,14 @@ def test_each_train_is_of_its_step(bench: Make, name: str):
     assert not run.running[-1]
 
 
+def test_frame_syncs_change_nothing_where_triggers_are_counted(bench: Make):
+    units = program_units(REFERENCE_CAPTURES)
+    clocks = PERIOD_CLOCKS * (len(units) + 10)
+    frames = tuple(range(90, clocks, 13))
+    run = play(bench(small_config(4)), REFERENCE_CAPTURES, clocks=clocks, frames=frames)
+    assert same(program_part(run.trains, REFERENCE_CAPTURES)[: len(units)], units)
+
+
 @pytest.mark.parametrize("name", ["reference captures", "two schedules", "empty steps"])
 def test_a_loop_has_no_gap(bench: Make, name: str):
     program = PROGRAMS[name]

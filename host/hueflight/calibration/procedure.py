@@ -429,7 +429,9 @@ def _gains(
         sums[:, row] = window_sums(
             light[row], windows, shift, bands=reflectance.size, circular=circular
         )
-    per_frame: NDArray[np.float64] = sums if frames is None else sums / frames
+    per_frame = sums
+    if frames is not None:  # a pixel without frames, such as a masked one, is not known
+        per_frame = np.divide(sums, frames, out=np.full_like(sums, np.nan), where=frames > 0)
     photons = np.asarray(sums.sum(axis=0))
     total = np.asarray(per_frame.sum(axis=0))
     known = usable & np.isfinite(total) & (total > 0)

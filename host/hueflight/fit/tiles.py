@@ -373,7 +373,7 @@ def _tile_keys(
     if not apart.all():  # stretches meet in a block, or another one comes first
         rising.sort()
         apart = np.diff(rising) > 0
-    return rising[np.concatenate([[True] * min(rising.size, 1), apart])]
+    return rising[np.concatenate([np.ones(min(rising.size, 1), bool), apart])]
 
 
 def _split(

@@ -88,6 +88,19 @@ def test_code_density_measures_bin_widths(small, draw):
     assert calibration.bins.edges_ns[-1] == pytest.approx(320)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_pixel_without_frames_is_dead_and_changes_nothing_else(small, draw):
+    instrument = small(rows=8, cols=8)
+    reference = draw(instrument, photons=5000, frames=10**6)
+    whole = hf.calibrate(reference, instrument, distance=0.5)
+    reference[2, 3] = 0
+    masked = hf.calibrate(reference, instrument, distance=0.5)
+    assert np.argwhere(masked.dead).tolist() == [[2, 3]]
+    assert np.isnan(masked.flat_field[2, 3])
+    # the mean of 64 pixels of 5000 photons, without one of them
+    assert masked.brightness == pytest.approx(whole.brightness, rel=0.01)
+
+
 def test_hot_and_dead_pixels_are_found_and_only_they(small, draw):
     instrument = small(rows=16, cols=16)
     reference = draw(instrument, photons=400, background=40)

@@ -6,7 +6,7 @@ import pytest
 
 from hueflight.fit import packing
 from hueflight.fit.tables import CROP, ScheduleView, make_tables
-from hueflight.fit.tiles import lit_stretches
+from hueflight.fit.tiles import Waveforms, lit_stretches, make_tiles
 from hueflight.model.time_bins import TimeBins
 from hueflight.model.waveforms import Templates
 
@@ -189,3 +189,11 @@ def test_the_search_gives_each_bin_to_its_brightest_band(views):
             band, first, last, place = run.tolist()
             found[band, first:last] = packed.gains[place : place + (last - first) * 3][1::3]
         np.testing.assert_allclose(found, np.log1p(15 * shape), rtol=1e-6)
+
+
+def test_no_tile_where_no_pulse_reaches_a_bin():
+    bins = nominal(None, codes=320)  # 16 ns of a single shot, whose pulse comes after 20
+    waveforms = Waveforms(bins.edges_ns, templates([20.0], circle_ns=300.0), 1.0)
+    tiles = make_tiles([waveforms], 0, 3, BIN_NS, crop=CROP)
+    assert tiles.places.tolist() == [0, 0, 0, 0]
+    assert tiles.shares.size == tiles.row.size == 0

@@ -106,7 +106,7 @@ def test_triggers_that_the_illuminator_missed_are_counted_and_told(small):
     synthetic(camera, frames=4, exposure=20)
 
     def miss(times):
-        for number in range(times):
+        for _ in range(times):
             records = camera.inputs(40)
             records["missed"][5:25] = 1  # an edge each, however long
             camera.run(records)

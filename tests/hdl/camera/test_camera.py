@@ -303,3 +303,26 @@ def test_any_register_contents_then_a_clean_capture(small):
     expected = islice(synthetic_frames(SMALL.form, 1, seed=77, occupancy=20000), 3)
     for frame, codes in zip(frames, expected, strict=True):
         np.testing.assert_array_equal(frame.codes, codes)
+
+
+def test_a_fault_of_the_sensor_is_told_with_its_frame(small):
+    """Also if its event has to wait until the link takes data again."""
+    camera = small()
+    codes = np.zeros((SMALL.form.rows, SMALL.form.cols), np.uint16)
+    camera.write("synthetic", enable=0)
+    camera.write("exposure", value=20)
+    camera.write("frame_limit", value=7)
+    camera.write("run", start=1)
+    for number in range(7):
+        camera.run_to_read(step=1, limit=1000)
+        if number == 3:
+            camera.taking = lambda clocks: np.zeros(clocks, bool)
+        if number == 6:
+            camera.taking = None
+        camera.run(camera.readout(codes, beats=slice(0, 5 if number == 3 else None)))
+        camera.run(clocks=2 * SMALL.patience)
+    camera.run(clocks=1000)
+    events = {p.code: p for p in parse(camera.packets())[0] if isinstance(p, Event)}
+    fault = events[EventCode.SENSOR_FAULT]
+    assert (fault.count, fault.value) == (1, 3)
+    assert camera.read("faults")["sensor"] == 1

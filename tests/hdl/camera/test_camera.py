@@ -232,8 +232,11 @@ def test_stalls_lose_whole_frames_and_every_one_is_counted(small):
     expected = list(islice(synthetic_frames(SMALL.form, 1, seed=77, occupancy=30000), 2000))
     for frame in frames_of(packets):
         np.testing.assert_array_equal(frame.codes, expected[frame.header.frame])
-    stopped = [p for p in packets if isinstance(p, Event) and p.code == EventCode.RUN_STOPPED]
-    assert [event.value for event in stopped] == [2000]
+    events = [p for p in packets if isinstance(p, Event)]
+    assert [e.value for e in events if e.code == EventCode.RUN_STOPPED] == [2000]
+    lost = [e.count for e in events if e.code == EventCode.OVERFLOW]
+    assert lost == sorted(lost)
+    assert lost[-1] == counted["frames_dropped"] + counted["frames_aborted"]
 
 
 @pytest.mark.parametrize("seed", range(3))

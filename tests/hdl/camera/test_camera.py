@@ -94,6 +94,11 @@ def test_capture_is_delivered_and_told_of(small):
     events = [packet for packet in packets if isinstance(packet, Event)]
     assert [event.code for event in events] == [EventCode.RUN_STARTED, EventCode.RUN_STOPPED]
     assert events[-1].value == 9
+    # all packets have the time at which they were made, on one clock
+    times = [packet.header.timestamp for packet in packets if not isinstance(packet, Frame)]
+    assert times == sorted(times)
+    assert 0 < times[0] < frames[1].header.timestamp
+    assert frames[-1].header.timestamp < times[-1] < camera.read("timestamp")["value"]
     last = [packet for packet in packets if isinstance(packet, Status)][-1]
     assert (last.frames_sent, last.frames_dropped, last.frames_aborted) == (9, 0, 0)
     assert report.aborted == 0

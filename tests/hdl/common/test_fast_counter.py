@@ -28,6 +28,7 @@ def test_every_clock_shows_a_count_that_was(counter: Simulation):
     for begin, end in ((1, 150_000), (150_001, len(records))):
         counted = np.cumsum(events[begin:end])
         late = 4  # shown after the third edge
+        assert (outputs["value"][begin : begin + late] == 0).all()
         assert (outputs["value"][begin + late : end] == counted[:-late]).all()
     assert counted[-1] > 0
     assert outputs["value"].max() > 1 << 16

@@ -98,6 +98,14 @@ def matched_depths(
     counts: NDArray[np.unsignedinteger], calibration: Calibration, depth_range: tuple[float, float]
 ) -> NDArray[np.float64]:
     """Depth of the highest correlation with the logarithm of the pulse, each pixel alone."""
+    depths, score = matched_scores(counts, calibration, depth_range)
+    return np.where(counts.any(axis=-1), depths[score.argmax(axis=-1)], np.nan)
+
+
+def matched_scores(
+    counts: NDArray[np.unsignedinteger], calibration: Calibration, depth_range: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Depths, and the correlation (row, col, depth) with the logarithm of the pulse there."""
     search_ns = search_range_ns(calibration, depth_range)
     tables = tables_for(calibration, search_ns)
     pulse = 0.9 * tables.shares[:, 0] * tables.period_ns + 0.1
@@ -109,5 +117,5 @@ def matched_depths(
         tables.cells_per_ns,
         lags,
     )
-    depth = lags[score.argmax(axis=-1)] / tables.cells_per_ns * SPEED_OF_LIGHT_M_PER_NS / 2
-    return np.where(counts.any(axis=-1), depth.reshape(counts.shape[:2]), np.nan)
+    depths = lags / tables.cells_per_ns * SPEED_OF_LIGHT_M_PER_NS / 2
+    return depths, score.reshape(*counts.shape[:2], lags.size)

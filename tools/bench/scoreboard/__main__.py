@@ -2,10 +2,12 @@
 """Depth from real photons by methods of others and ours.
 
     python3 tools/dev.py bench scoreboard [DATA SET ...] [--write]
+    python3 tools/dev.py bench scoreboard --two-returns FILE ...
 
 Data sets: face, night, whose depths are judged by photons that no method has seen, and robot, whose
 depths are known. They are read beside the project, in ../shared/data. `--write` puts the tables
-where the documentation shows them.
+where the documentation shows them. `two_returns.py` states what a file of captures with two
+surfaces must hold.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import numpy as np
 import robot
+import two_returns
 from _measure import table
 from _tmf8820 import FILE as ROBOT_FILE
 from data_sets import DATA_SETS, FILES, Half, halves
@@ -83,7 +86,15 @@ def main() -> None:
     parser.add_argument(
         "--write", action="store_true", help=f"write tables in {RESULTS.relative_to(ROOT)}"
     )
+    parser.add_argument(
+        "--two-returns", nargs="+", type=Path, metavar="FILE", help="captures with two surfaces"
+    )
     arguments = parser.parse_args()
+    for path in arguments.two_returns or ():
+        print(f"{path.name}: half of the photons are used.", flush=True)
+        print(table(two_returns.HEAD, two_returns.rows_of(two_returns.read(path))))
+    if arguments.two_returns:
+        return
     names = arguments.sets or list(files)
     for name in names:
         if not files[name].exists():

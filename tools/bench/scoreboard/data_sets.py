@@ -23,7 +23,7 @@ REFERENCE_PHOTONS = 10_000  #: of the expected reference, from which correlation
 
 @dataclass(frozen=True)
 class Half:
-    """Half of the photons of a capture.
+    """Photons of a capture: all, or half of them.
 
     Attributes
     ----------
@@ -83,7 +83,11 @@ FILES = {"face": FACE, "night": NIGHT}
 
 def halves(name: str, *, seed: int = 1) -> tuple[Half, Half]:
     """Throw each photon of a data set into one of two halves."""
-    whole = DATA_SETS[name]()
+    return halves_of(DATA_SETS[name](), seed=seed)
+
+
+def halves_of(whole: Half, *, seed: int = 1) -> tuple[Half, Half]:
+    """Throw each photon of a capture into one of two halves."""
     first = np.random.default_rng(seed).binomial(whole.counts, 0.5).astype(np.uint16)
     calibration = replace(whole.calibration, reference=_reference(whole))
     parts = (first, (whole.counts - first).astype(np.uint16))

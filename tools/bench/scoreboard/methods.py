@@ -21,11 +21,18 @@ Method = Callable[[Half], Floats]
 
 def matched(half: Half, *, size: int = 1) -> Floats:
     """Log-matched filter on the photons of squares of so many pixels."""
-    counts = half.counts
-    if size > 1:
-        shared = uniform_filter(counts.astype(np.float32), (size, size, 1), mode="constant")
-        counts = np.rint(shared * size**2).astype(np.uint16)
+    counts = pooled_in_squares(half.counts, size)
     return matched_depths(counts, half.calibration, half.depth_range)
+
+
+def pooled_in_squares(
+    counts: NDArray[np.unsignedinteger], size: int
+) -> NDArray[np.unsignedinteger]:
+    """Return the sum of counts in the square of so many pixels around each pixel."""
+    if size == 1:
+        return counts
+    shared = uniform_filter(counts.astype(np.float32), (size, size, 1), mode="constant")
+    return np.rint(shared * size**2).astype(np.uint16)
 
 
 def phasor(half: Half) -> Floats:

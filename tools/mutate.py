@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutation testing of the gateware: does a small fault in a source make a test fail?
+"""Mutation testing: does a small fault in a source make a test fail?
 
     python tools/mutate.py list                   mutants by file
     python tools/mutate.py run --count 200        judge a seeded sample; goes on where it stopped
     python tools/mutate.py run --again survived   judge survivors anew, after tests were added
-    python tools/mutate.py page                   write docs/project/mutation.md from the results
+    python tools/mutate.py page                   write docs/project/mutation.md from all results
 
+The sources are those of the gateware, or with `--of host` Python and C from packets to images.
 Each mutant is one change of one source file, in a copy of the repository. The tests that judge it
-are those of `mutation/suites.toml`, the quickest first; the first failure ends its judgment. What
-tests take without a mutant is measured when they are first needed, and kept for the next run. A
-mutant that no test notices has survived, unless it gives the same netlists as the original or
-`mutation/equivalent.toml` states why it does the same.
+are those of `mutation/suites.toml` or `host_suites.toml`, the quickest first; the first failure
+ends its judgment. What tests take without a mutant is measured when they are first needed, and kept
+for the next run. A mutant that no test notices has survived, unless it gives the same netlists,
+bytecode or compiled kernels as the original, or `mutation/equivalent.toml` states why it does the
+same.
 
 The sample is a simple random one: mutants come in the order of a hash of their keys with the seed,
 so that a longer sample begins with the shorter one, also after other parts of the sources changed.
@@ -30,65 +32,33 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
 
-from mutation.operators import Mutant, mutants_of
-from mutation.page import write_page
+from mutation.kernels import Kernels
+from mutation.operators import Mutant
+from mutation.page import Judged, write_page
+from mutation.python_operators import same_code
+from mutation.subjects import GATEWARE, HERE, SUBJECTS, Subject, Suite
 
 T = TypeVar("T")
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = ROOT / "hdl" / "hueflight_hdl"
-HERE = Path(__file__).parent / "mutation"
+RESULTS = ROOT / "docs" / "results"
 COPIED = ("hdl", "protocol", "host", "tests", "tools", "docs", "pyproject.toml")
 SLACK = 4.0
-"""A run may use so many times the processor time of the original, and a minute more."""
+"""A run may use so many times the processor time of the original, and some more."""
+PATIENCE = 8.0
+"""And so many times that on the clock, since a mutant may wait without end."""
 
 
-@dataclass(frozen=True)
-class Suite:
-    """Files, and the tests that judge their mutants.
-
-    Parameters
-    ----------
-    name : str
-        Name on the page.
-    files : tuple of Path
-        Sources.
-    tests : tuple of tuple of str
-        Arguments of pytest, for one run each.
-    """
-
-    name: str
-    files: tuple[Path, ...]
-    tests: tuple[tuple[str, ...], ...]
-
-
-def read_suites() -> list[Suite]:
-    """Return the suites; each file is in the first one whose prefix it has."""
-    suites, taken = [], set()
-    for entry in tomllib.loads((HERE / "suites.toml").read_text())["suite"]:
-        files = [
-            path
-            for path in sorted(SOURCES.rglob("*.py"))
-            if path.relative_to(SOURCES).as_posix().startswith(tuple(entry["files"]))
-            and path.name not in (*entry.get("exclude", ()), "__init__.py")
-            and path not in taken
-        ]
-        taken.update(files)
-        suites.append(Suite(entry["name"], tuple(files), tuple(map(tuple, entry["tests"]))))
-    return suites
-
-
-def sample(suites: list[Suite], *, seed: int) -> list[tuple[Suite, Mutant]]:
+def sample(subject: Subject, suites: list[Suite], *, seed: int) -> list[tuple[Suite, Mutant]]:
     """Return all mutants in random order; a sample is the beginning of it."""
     every = [
         (suite, mutant)
         for suite in suites
         for path in suite.files
-        for mutant in mutants_of(ROOT, path)
+        for mutant in subject.mutants_of(ROOT, path)
     ]
     return sorted(every, key=lambda pair: _rank(pair[1], seed))
 
@@ -103,13 +73,16 @@ class Workplace:
 
     Parameters
     ----------
+    subject : Subject
+        What has mutants.
     folder : Path
         Where the copy and the cache of compiled simulations are.
     prefix : list of str
         Command in front of each run, for example ``nice``.
     """
 
-    def __init__(self, folder: Path, prefix: list[str]) -> None:
+    def __init__(self, subject: Subject, folder: Path, prefix: list[str]) -> None:
+        self.subject = subject
         self.tree = folder / "tree"
         self.cache = folder / "cache"
         self.prefix = prefix
@@ -122,32 +95,47 @@ class Workplace:
                 shutil.copyfile(source, target)
         self.cache.mkdir(parents=True, exist_ok=True)
         self.baselines = folder / "baselines.json"
-        self.version = _digest(self.tree)
+        self.version = _digest(self.tree, subject)
+        self.kernels = None if subject is GATEWARE else self._compiled(folder)
+
+    def _compiled(self, folder: Path) -> Kernels:
+        kernels = Kernels(self.tree, folder / "kernels" / self.version)
+        kernels.compile_all()
+        return kernels
 
     def judge(self, suite: Suite, mutant: Mutant) -> tuple[str, str]:
         """Return what became of a mutant, and the run that noticed it."""
         path = self.tree / mutant.path
         original = path.read_bytes()
-        for tests in suite.tests:
-            limit = 60 + SLACK * self._seconds(tests)
+        limits = [self.subject.grace + SLACK * self._seconds(tests) for tests in suite.tests]
+        if self.kernels is None and not self._once("netlists", self._netlists):
+            raise SystemExit("the netlists cannot be made without a mutant")
+        changed = mutant.apply(original)
+        if path.suffix == ".py" and self.kernels and same_code(original, changed):
+            return self.subject.same, ""
+        try:
+            path.write_bytes(changed)
+            if path.suffix == ".py" or self.kernels is None:
+                return self._judge(suite, limits)
+            with self.kernels.changed(path) as status:
+                return (status, "") if status else self._judge(suite, limits)
+        finally:
+            path.write_bytes(original)
+
+    def _judge(self, suite: Suite, limits: list[float]) -> tuple[str, str]:
+        """Run tests, the quickest first, until one of them fails."""
+        for tests, limit in zip(suite.tests, limits, strict=True):
             kept = set(self.cache.rglob("*"))
-            path.write_bytes(mutant.apply(original))
             try:
                 if not self._passes(tests, limit=limit):
                     return "killed", " ".join(tests)
             finally:
-                path.write_bytes(original)
                 for made in set(self.cache.rglob("*")) - kept:
                     if made.is_file():
                         made.unlink()
-        original_netlists = self._once("netlists", self._netlists)
-        if not original_netlists:
-            raise SystemExit("the netlists cannot be made without a mutant")
-        path.write_bytes(mutant.apply(original))
-        try:
-            return ("same netlist" if self._netlists() == original_netlists else "survived"), ""
-        finally:
-            path.write_bytes(original)
+        if self.kernels is None and self._netlists() == self._once("netlists", self._netlists):
+            return self.subject.same, ""
+        return "survived", ""
 
     def _seconds(self, tests: tuple[str, ...]) -> float:
         """Return the processor time of a run of tests without a mutant, measured once."""
@@ -176,13 +164,18 @@ class Workplace:
         options = ("-x", "-q", "-p", "no:cacheprovider", "--timeout", "0")
         pytest = (sys.executable, "-m", "pytest", *options, *tests)
         words = [*self.prefix, "sh", "-c", f"{bound}exec {shlex.join(pytest)}"]
-        return self._run(words).returncode == 0
+        try:
+            return self._run(words, timeout=limit and PATIENCE * limit).returncode == 0
+        except subprocess.TimeoutExpired:
+            return False
 
     def _netlists(self) -> str:
         """Return a hash of the netlists of the copy, or nothing if it cannot be elaborated."""
         return self._run([sys.executable, str(HERE / "netlist.py")]).stdout
 
-    def _run(self, words: list[str]) -> subprocess.CompletedProcess[str]:
+    def _run(
+        self, words: list[str], *, timeout: float | None = None
+    ) -> subprocess.CompletedProcess[str]:
         """Run a command in the copy."""
         folders = (str(self.tree / name) for name in ("protocol", "hdl", "host", "tests"))
         environment = {
@@ -193,16 +186,23 @@ class Workplace:
             "PYTHONDONTWRITEBYTECODE": "1",
         }
         return subprocess.run(
-            words, cwd=self.tree, env=environment, capture_output=True, text=True, check=False
+            words,
+            cwd=self.tree,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=timeout,
         )
 
 
-def _digest(tree: Path) -> str:
+def _digest(tree: Path, subject: Subject) -> str:
     """Return a digest of the sources and tests in a copy of the repository."""
     digest = hashlib.sha256()
-    for name in ("hdl", "protocol", "host", "tests/hdl", "tests/support"):
-        for path in sorted((tree / name).rglob("*.py")):
-            digest.update(path.relative_to(tree).as_posix().encode() + path.read_bytes())
+    for name in subject.digested:
+        for path in sorted((tree / name).rglob("*")):
+            if path.suffix in subject.mutants:
+                digest.update(path.relative_to(tree).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -214,16 +214,19 @@ def _seconds_of_children() -> float:
 
 def judge_sample(arguments: argparse.Namespace) -> None:
     """Judge mutants that have no result yet."""
-    results = read_results(arguments.results)
-    chosen = sample(read_suites(), seed=arguments.seed)[: arguments.count]
+    subject = SUBJECTS[arguments.of]
+    file = arguments.results or RESULTS / subject.results
+    results = read_results(file)
+    chosen = sample(subject, subject.read_suites(ROOT), seed=arguments.seed)[: arguments.count]
     due = [
         (suite, mutant)
         for suite, mutant in chosen
         if mutant.key not in results or results[mutant.key]["status"] in arguments.again
     ]
     print(f"{len(chosen)} mutants in the sample, {len(due)} to judge", flush=True)
-    arguments.results.parent.mkdir(parents=True, exist_ok=True)
-    work = Workplace(arguments.folder, arguments.prefix.split())
+    file.parent.mkdir(parents=True, exist_ok=True)
+    folder = arguments.folder or ROOT / "build" / "mutation" / subject.name
+    work = Workplace(subject, folder, arguments.prefix.split())
     end = time.monotonic() + 60 * arguments.minutes
     for number, (suite, mutant) in enumerate(due, 1):
         if time.monotonic() > end:
@@ -242,8 +245,8 @@ def judge_sample(arguments: argparse.Namespace) -> None:
             "status": status,
             "by": by,
         }
-        with arguments.results.open("a") as file:
-            file.write(json.dumps(record) + "\n")
+        with file.open("a") as lines:
+            lines.write(json.dumps(record) + "\n")
         took = time.monotonic() - began
         print(f"{number}/{len(due)} {status} {mutant.path}:{mutant.line} {took:.0f} s", flush=True)
 
@@ -257,21 +260,26 @@ def read_results(path: Path) -> dict[str, dict[str, object]]:
 def list_mutants(arguments: argparse.Namespace) -> None:
     """Print how many mutants each file has."""
     total = 0
-    for suite in read_suites():
+    subject = SUBJECTS[arguments.of]
+    for suite in subject.read_suites(ROOT):
         for path in suite.files:
-            count = len(mutants_of(ROOT, path))
+            count = len(subject.mutants_of(ROOT, path))
             total += count
             print(f"{count:5}  {path.relative_to(ROOT)}  ({suite.name})")
     print(f"{total:5}  in all; seed {arguments.seed}")
 
 
 def make_page(arguments: argparse.Namespace) -> None:
-    """Write the page of results: of the sample as far as it is judged without a gap."""
-    order = [mutant.key for _, mutant in sample(read_suites(), seed=arguments.seed)]
-    known = read_results(arguments.results)
-    results = [known[key] for key in takewhile(known.__contains__, order)]
+    """Write the page of results: of each sample as far as it is judged without a gap."""
     reasons = tomllib.loads((HERE / "equivalent.toml").read_text())
-    page = write_page(results, reasons, total=len(order), seed=arguments.seed)
+    judged = []
+    for subject in SUBJECTS.values():
+        every = sample(subject, subject.read_suites(ROOT), seed=arguments.seed)
+        order = [mutant.key for _, mutant in every]
+        known = read_results(RESULTS / subject.results)
+        results = [known[key] for key in takewhile(known.__contains__, order)]
+        judged.append(Judged(subject, results, len(order)))
+    page = write_page(judged, reasons, seed=arguments.seed)
     (ROOT / "docs" / "project" / "mutation.md").write_text(page)
 
 
@@ -281,6 +289,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("action", choices=("list", "run", "page"))
+    parser.add_argument("--of", choices=SUBJECTS, default="gateware", help="sources")
     parser.add_argument("--count", type=int, default=200, help="mutants in the sample")
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
     parser.add_argument(
@@ -289,7 +298,7 @@ def main() -> None:
     parser.add_argument(
         "--again",
         action="append",
-        choices=("killed", "survived", "same netlist"),
+        choices=("killed", "survived", "same netlist", "same code", "not compiled"),
         default=[],
         help="judge results with this status anew; may be repeated",
     )
@@ -297,14 +306,12 @@ def main() -> None:
     parser.add_argument(
         "--folder",
         type=Path,
-        default=ROOT / "build" / "mutation",
-        help="where the copy of the repository and the cache are made",
+        help="where the copy of the repository and the cache are made; by default in build/",
     )
     parser.add_argument(
         "--results",
         type=Path,
-        default=ROOT / "docs" / "results" / "mutants.jsonl",
-        help="file of results, one line of JSON for each",
+        help="file of results, one line of JSON for each; by default one in docs/results",
     )
     arguments = parser.parse_args()
     {"list": list_mutants, "run": judge_sample, "page": make_page}[arguments.action](arguments)

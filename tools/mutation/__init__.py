@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutation testing of the gateware; the command is ``tools/mutate.py``."""
+"""Mutation testing; the command is ``tools/mutate.py``."""

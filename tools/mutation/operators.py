@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutants of a source file: one small change each, found in its syntax tree."""
+"""Mutants of a source file, and the changes that are made in gateware, found in its syntax tree."""
 
 from __future__ import annotations
 
 import ast
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,8 +68,82 @@ class Mutant:
         return source[: self.start] + self.after.encode() + source[self.stop :]
 
 
+@dataclass(frozen=True)
+class Change:
+    """Where and how a source text is changed.
+
+    Parameters
+    ----------
+    where : str
+        Function.
+    line : int
+        Line of the change.
+    operator : str
+        Kind of change.
+    start, stop : int
+        Bytes that are replaced.
+    after : str
+        New text.
+    """
+
+    where: str
+    line: int
+    operator: str
+    start: int
+    stop: int
+    after: str
+
+
+def name_mutants(name: str, source: bytes, changes: Iterable[Change], /) -> list[Mutant]:
+    """Return the mutants that changes make of a file, each with a key of its own.
+
+    Parameters
+    ----------
+    name : str
+        Path of the file, relative to the root of the repository.
+    source : bytes
+        Content of the file.
+    changes : iterable of Change
+        The changes.
+
+    Returns
+    -------
+    list of Mutant
+        In the order of the changes.
+    """
+    found: list[Mutant] = []
+    seen: Counter[str] = Counter()
+    for change in changes:
+        before = source[change.start : change.stop].decode()
+        text = "\0".join((name, change.where, change.operator, before, change.after))
+        seen[text] += 1
+        key = hashlib.sha256(f"{text}\0{seen[text]}".encode()).hexdigest()[:10]
+        found.append(
+            Mutant(
+                name,
+                change.line,
+                change.where,
+                change.operator,
+                before,
+                change.after,
+                change.start,
+                change.stop,
+                key,
+            )
+        )
+    return found
+
+
+def starts_of_lines(source: bytes, /) -> list[int]:
+    """Return where each line begins, and where the last one ends."""
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    return starts
+
+
 def mutants_of(root: Path, path: Path, /) -> list[Mutant]:
-    """Return all mutants of a file, in the order of the source.
+    """Return all mutants of a file of the gateware, in the order of the source.
 
     Parameters
     ----------
@@ -84,27 +158,18 @@ def mutants_of(root: Path, path: Path, /) -> list[Mutant]:
         Each has a unique key.
     """
     source = path.read_bytes()
-    tree = ast.parse(source)
-    starts = [0]
-    for line in source.splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
-    name = path.relative_to(root).as_posix()
-    found: list[Mutant] = []
-    seen: Counter[str] = Counter()
-    for where, function in _functions(tree):
+    return name_mutants(path.relative_to(root).as_posix(), source, _all_changes(source))
+
+
+def _all_changes(source: bytes) -> Iterator[Change]:
+    starts = starts_of_lines(source)
+    for where, function in _functions(ast.parse(source)):
         for node, operator, after in _changes(function, source, starts):
             start = starts[node.lineno - 1] + node.col_offset
             stop = _end(node, starts)
-            before = source[start:stop].decode()
             if operator == "remove":
-                before, stop = _with_comma(source, start, stop)
-            text = "\0".join((name, where, operator, before, after))
-            seen[text] += 1
-            key = hashlib.sha256(f"{text}\0{seen[text]}".encode()).hexdigest()[:10]
-            found.append(
-                Mutant(name, node.lineno, where, operator, before, after, start, stop, key)
-            )
-    return found
+                _, stop = _with_comma(source, start, stop)
+            yield Change(where, node.lineno, operator, start, stop, after)
 
 
 def _end(node: ast.expr, starts: list[int]) -> int:

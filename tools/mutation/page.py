@@ -5,27 +5,35 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from scipy.stats import beta
 
-_HEAD = """# Mutation testing of the gateware
+from mutation.subjects import Subject
 
-A test suite is judged by faults that are put into the gateware on purpose: one operator, constant,
-condition or assignment of one source file is changed, and the tests of that part are run. A mutant
+_HEAD = """# Mutation testing
+
+Test suites are judged by faults that are put into the sources on purpose: one operator, constant,
+condition, assignment or call in one file is changed, and the tests of that part are run. A mutant
 that makes a test fail, or run without end, is *killed*; one that no test notices has *survived*.
-Mutants that give the same netlists for all boards as the original, and those listed below with a
+Mutants of the gateware that give the same netlists for all boards as the original, those of the
+software that give the same bytecode or the same compiled kernels, and those listed below with a
 reason, are *equivalent* and do not count.
 
+Only what functions do is changed: declarations such as register maps, macros, generated files, and
+texts are not.
+
 ```sh
-python tools/mutate.py run --count {count} --seed {seed}   # goes on where it stopped
+python tools/mutate.py run --count 200              # the gateware; goes on where it stopped
+python tools/mutate.py run --of host --count 200    # the software from packets to images
 python tools/mutate.py page                         # writes this page
 ```
 
-The sources have {total} mutants. The {judged} that were judged are a simple random sample of them
-(seed {seed}), so the score of all is known to within the interval given with it: the exact binomial
-(Clopper-Pearson) interval, which covers the true score in at least {confidence:.0%} of such
-samples. Survivors are counted as faults that the tests miss, unless a reason below says otherwise.
+The mutants that were judged are simple random samples (seed {seed}), so the score of all mutants is
+known to within the interval given with it: the exact binomial (Clopper-Pearson) interval, which
+covers the true score in at least {confidence:.0%} of such samples. Survivors are counted as faults
+that the tests miss, unless a reason below says otherwise.
 """
 CONFIDENCE = 0.95
 
@@ -53,37 +61,67 @@ def interval(
     return float(low), float(high)
 
 
-def write_page(
-    results: Sequence[Mapping[str, Any]], reasons: Mapping[str, str], *, total: int, seed: int
-) -> str:
+@dataclass(frozen=True)
+class Judged:
+    """A sample of the mutants of a subject.
+
+    Parameters
+    ----------
+    subject : Subject
+        What has mutants.
+    results : sequence of mapping
+        Records of ``tools/mutate.py``.
+    total : int
+        Number of mutants that the sources have.
+    """
+
+    subject: Subject
+    results: Sequence[Mapping[str, Any]]
+    total: int
+
+
+def write_page(judged: Sequence[Judged], reasons: Mapping[str, str], *, seed: int) -> str:
     """Return the page in Markdown.
 
     Parameters
     ----------
-    results : sequence of mapping
-        Records of ``tools/mutate.py``.
+    judged : sequence of Judged
+        Samples; those without results are left out.
     reasons : mapping of str to str
         Why mutants are equivalent, by key.
-    total : int
-        Number of mutants that the sources have.
     seed : int
-        Seed of the sample.
+        Seed of the samples.
 
     Returns
     -------
     str
         The page.
     """
+    lines = [_HEAD.format(seed=seed, confidence=CONFIDENCE)]
+    for sample in judged:
+        if sample.results:
+            lines += _section(sample, reasons)
+    return "\n".join(lines) + "\n"
+
+
+def _section(sample: Judged, reasons: Mapping[str, str]) -> list[str]:
+    """Return the section of a subject: scores of its parts, survivors, equivalent mutants."""
     by_suite: dict[str, Counter[str]] = {}
-    for result in results:
+    for result in sample.results:
         by_suite.setdefault(result["suite"], Counter())[_status(result, reasons)] += 1
-    count = len(results)
+    every = sum(by_suite.values(), Counter())
+    known = f"{len(sample.results)} of {sample.total} mutants were judged."
+    if every["not compiled"]:
+        known += f" {every['not compiled']} of them cannot be compiled and do not count."
     lines = [
-        _HEAD.format(count=count, seed=seed, total=total, judged=count, confidence=CONFIDENCE),
+        f"## {sample.subject.title}",
+        "",
+        known,
+        "",
         f"| part | killed | survived | equivalent | score | {CONFIDENCE:.0%} interval |",
         "|---|---|---|---|---|---|",
     ]
-    for name, counts in [*by_suite.items(), ("all", sum(by_suite.values(), Counter()))]:
+    for name, counts in [*sorted(by_suite.items()), ("all", every)]:
         killed, survived = counts["killed"], counts["survived"]
         score = shown = "–"
         if killed + survived:
@@ -91,40 +129,37 @@ def write_page(
             shown = " to ".join(f"{bound:.1%}" for bound in interval(killed, survived))
         cells = (name, killed, survived, counts["equivalent"], score, shown)
         lines.append(f"| {' | '.join(map(str, cells))} |")
-    lines += _table("Survivors", results, reasons, "survived")
-    lines += _table("Equivalent mutants", results, reasons, "equivalent")
-    return "\n".join(lines) + "\n"
+    lines += _table("Survivors", sample, reasons, "survived")
+    return [*lines, *_table("Equivalent mutants", sample, reasons, "equivalent"), ""]
 
 
 def _status(result: Mapping[str, Any], reasons: Mapping[str, str]) -> str:
-    if result["status"] == "same netlist":
+    if result["status"] in ("same netlist", "same code"):
         return "equivalent"
     if result["status"] == "survived" and result["key"] in reasons:
         return "equivalent"
     return result["status"]
 
 
-def _table(
-    title: str, results: Sequence[Mapping[str, Any]], reasons: Mapping[str, str], status: str
-) -> list[str]:
+def _table(title: str, sample: Judged, reasons: Mapping[str, str], status: str) -> list[str]:
     """Return a section that lists the mutants of a status."""
     rows = []
-    for result in sorted(results, key=lambda r: (r["path"], r["line"])):
+    for result in sorted(sample.results, key=lambda r: (r["path"], r["line"])):
         if _status(result, reasons) != status:
             continue
-        file = result["path"].removeprefix("hdl/hueflight_hdl/")
+        file = result["path"]
+        for prefix in ("hdl/hueflight_hdl/", "host/hueflight/", "protocol/hueflight_protocol/"):
+            file = file.removeprefix(prefix)
         after = _code(result["after"]) if result["after"] else "removed"
         cells = [f"{file}:{result['line']}", result["where"], _code(result["before"]), after]
-        cells.append(
-            reasons.get(result["key"], "same netlist" if status == "equivalent" else result["key"])
-        )
-        rows.append("| " + " | ".join(cells) + " |")
+        known = result["status"] if status == "equivalent" else result["key"]
+        rows.append("| " + " | ".join([*cells, reasons.get(result["key"], known)]) + " |")
     if not rows:
         return []
     last = "reason" if status == "equivalent" else "key"
     return [
         "",
-        f"## {title}",
+        f"### {title}: {sample.subject.name}",
         "",
         f"| place | function | before | after | {last} |",
         "|---|---|---|---|---|",

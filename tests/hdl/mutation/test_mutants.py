@@ -122,10 +122,10 @@ def test_a_sample_stays_when_other_sources_change(monkeypatch, tmp_path: Path):
     one.write_text(SOURCE)
     two.write_text(SOURCE.replace("Part", "Other"))
     suites = [mutate.Suite("both", (one, two), ())]
-    before = [mutant.key for _, mutant in mutate.sample(suites, seed=1)]
+    before = [mutant.key for _, mutant in mutate.sample(mutate.GATEWARE, suites, seed=1)]
     two.write_text(SOURCE.replace("Part", "Other").replace("c == 3", "c == 5"))
-    after = [mutant.key for _, mutant in mutate.sample(suites, seed=1)]
+    after = [mutant.key for _, mutant in mutate.sample(mutate.GATEWARE, suites, seed=1)]
     gone = set(before) - set(after)
     assert 0 < len(gone) < len(before) / 2
     assert [key for key in before if key not in gone] == [key for key in after if key in before]
-    assert [mutant.key for _, mutant in mutate.sample(suites, seed=2)] != after
+    assert [mutant.key for _, mutant in mutate.sample(mutate.GATEWARE, suites, seed=2)] != after

@@ -24,7 +24,7 @@ import numpy as np
 from _face import matched_scores
 from _real_photons import laser_calibration
 from data_sets import Half, halves_of
-from methods import SIZES, pooled_in_squares, reconstructed
+from methods import SIZES, pooled_in_squares
 from numpy.typing import NDArray
 from published import METERS_PER_NS
 from scipy.io import loadmat
@@ -121,16 +121,18 @@ def two_peaks(half: Half, *, size: int = 1) -> Floats:
     return np.array(found)
 
 
-def ours(half: Half, *, method: str, **options: bool) -> Floats:
+def ours(half: Half, *, method: str, second_returns: bool = False) -> Floats:
     """A method of this project; the second depth where it states one."""
-    if not options:
-        return np.stack(
-            [reconstructed(half, method=method), np.full(half.counts.shape[:2], np.nan)]
-        )
     image = hf.reconstruct(
-        half.counts, half.calibration, method=method, depth_range=half.depth_range, **options
+        half.counts,
+        half.calibration,
+        method=method,
+        depth_range=half.depth_range,
+        second_returns=second_returns,
     )
-    return np.stack([image["depth"].values, image["second_depth"].values])
+    depth = image["depth"].values
+    second = image["second_depth"].values if second_returns else np.full(depth.shape, np.nan)
+    return np.stack([depth, second])
 
 
 #: name → variants of the method, of which the best one counts

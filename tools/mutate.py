@@ -31,7 +31,7 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from itertools import takewhile
 from pathlib import Path
 from typing import TypeVar
@@ -41,6 +41,7 @@ from mutation.operators import Mutant
 from mutation.page import Judged, write_page
 from mutation.python_operators import same_code
 from mutation.subjects import GATEWARE, HERE, SUBJECTS, Subject, Suite
+from mutation.warm import WarmTests
 
 T = TypeVar("T")
 ROOT = Path(__file__).resolve().parent.parent
@@ -96,12 +97,13 @@ class Workplace:
         self.cache.mkdir(parents=True, exist_ok=True)
         self.baselines = folder / "baselines.json"
         self.version = _digest(self.tree, subject)
-        self.kernels = None if subject is GATEWARE else self._compiled(folder)
-
-    def _compiled(self, folder: Path) -> Kernels:
-        kernels = Kernels(self.tree, folder / "kernels" / self.version)
-        kernels.compile_all()
-        return kernels
+        self.kernels: Kernels | None = None
+        self.warm: WarmTests | None = None
+        if subject is not GATEWARE:
+            sources = _digest(self.tree, subject, suffixes=(".c", ".h"))
+            self.kernels = Kernels(self.tree, folder / "kernels" / sources)
+            self.kernels.compile_all()
+            self.warm = WarmTests(self.tree, self._environment(), prefix)
 
     def judge(self, suite: Suite, mutant: Mutant) -> tuple[str, str]:
         """Return what became of a mutant, and the run that noticed it."""
@@ -118,16 +120,28 @@ class Workplace:
             if path.suffix == ".py" or self.kernels is None:
                 return self._judge(suite, limits)
             with self.kernels.changed(path) as status:
-                return (status, "") if status else self._judge(suite, limits)
+                status, by = (status, "") if status else self._judge(suite, limits)
+            if status == "survived" and self._optimized_alike(path, original):
+                return self.subject.same, ""
+            return status, by
         finally:
             path.write_bytes(original)
+
+    def _optimized_alike(self, path: Path, original: bytes) -> bool:
+        """Whether a compiler that optimizes makes the same kernels of a source as before."""
+        kernels = self.kernels
+        assert kernels
+        now = kernels.optimized(path)
+        path.write_bytes(original)
+        place = f"optimized {path.parent.relative_to(self.tree)}"
+        return now == self._once(place, lambda: kernels.optimized(path))
 
     def _judge(self, suite: Suite, limits: list[float]) -> tuple[str, str]:
         """Run tests, the quickest first, until one of them fails."""
         for tests, limit in zip(suite.tests, limits, strict=True):
             kept = set(self.cache.rglob("*"))
             try:
-                if not self._passes(tests, limit=limit):
+                if not self._try(tests, limit=limit)[0]:
                     return "killed", " ".join(tests)
             finally:
                 for made in set(self.cache.rglob("*")) - kept:
@@ -141,10 +155,10 @@ class Workplace:
         """Return the processor time of a run of tests without a mutant, measured once."""
 
         def measure() -> float:
-            before = _seconds_of_children()
-            if not self._passes(tests, limit=None):
+            passed, seconds = self._try(tests, limit=None)
+            if not passed:
                 raise SystemExit(f"{' '.join(tests)}: fails without a mutant")
-            return _seconds_of_children() - before
+            return seconds
 
         return self._once(" ".join(tests), measure)
 
@@ -157,17 +171,22 @@ class Workplace:
             self.baselines.write_text(json.dumps(known, indent=1))
         return known[place]
 
-    def _passes(self, tests: tuple[str, ...], *, limit: float | None) -> bool:
-        """Whether a run of tests passes; one that uses too much processor time does not."""
+    def _try(self, tests: tuple[str, ...], *, limit: float | None) -> tuple[bool, float]:
+        """Whether a run of tests passes, and its processor time, which `limit` bounds."""
         bound = "" if limit is None else f"ulimit -t {round(limit)}; "
+        timeout = limit and PATIENCE * limit
         # processor time bounds a run, not the clock: others may need the machine
         options = ("-x", "-q", "-p", "no:cacheprovider", "--timeout", "0")
+        if self.warm:
+            return self.warm.run([*options, *tests], limit=limit, timeout=timeout)
         pytest = (sys.executable, "-m", "pytest", *options, *tests)
         words = [*self.prefix, "sh", "-c", f"{bound}exec {shlex.join(pytest)}"]
+        before = _seconds_of_children()
         try:
-            return self._run(words, timeout=limit and PATIENCE * limit).returncode == 0
+            passed = self._run(words, timeout=timeout).returncode == 0
         except subprocess.TimeoutExpired:
-            return False
+            passed = False
+        return passed, _seconds_of_children() - before
 
     def _netlists(self) -> str:
         """Return a hash of the netlists of the copy, or nothing if it cannot be elaborated."""
@@ -177,31 +196,34 @@ class Workplace:
         self, words: list[str], *, timeout: float | None = None
     ) -> subprocess.CompletedProcess[str]:
         """Run a command in the copy."""
-        folders = (str(self.tree / name) for name in ("protocol", "hdl", "host", "tests"))
-        environment = {
-            "YOWASP_CACHE_DIR": str(Path.home() / ".cache" / "hueflight" / "yowasp"),
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(folders),
-            "HUEFLIGHT_CACHE": str(self.cache),
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
         return subprocess.run(
             words,
             cwd=self.tree,
-            env=environment,
+            env=self._environment(),
             capture_output=True,
             text=True,
             check=False,
             timeout=timeout,
         )
 
+    def _environment(self) -> dict[str, str]:
+        """Return the environment in which the copy is used."""
+        folders = (str(self.tree / name) for name in ("protocol", "hdl", "host", "tests"))
+        return {
+            "YOWASP_CACHE_DIR": str(Path.home() / ".cache" / "hueflight" / "yowasp"),
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(folders),
+            "HUEFLIGHT_CACHE": str(self.cache),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
 
-def _digest(tree: Path, subject: Subject) -> str:
+
+def _digest(tree: Path, subject: Subject, suffixes: Collection[str] = ()) -> str:
     """Return a digest of the sources and tests in a copy of the repository."""
     digest = hashlib.sha256()
     for name in subject.digested:
         for path in sorted((tree / name).rglob("*")):
-            if path.suffix in subject.mutants:
+            if path.suffix in (suffixes or subject.mutants):
                 digest.update(path.relative_to(tree).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -217,7 +239,11 @@ def judge_sample(arguments: argparse.Namespace) -> None:
     subject = SUBJECTS[arguments.of]
     file = arguments.results or RESULTS / subject.results
     results = read_results(file)
-    chosen = sample(subject, subject.read_suites(ROOT), seed=arguments.seed)[: arguments.count]
+    every = subject.read_suites(ROOT)
+    suites = [suite for suite in every if suite.name in (arguments.suite or [suite.name])]
+    if not suites:
+        raise SystemExit(f"no such suite; one of: {', '.join({suite.name for suite in every})}")
+    chosen = sample(subject, suites, seed=arguments.seed)[: arguments.count]
     due = [
         (suite, mutant)
         for suite, mutant in chosen
@@ -249,6 +275,8 @@ def judge_sample(arguments: argparse.Namespace) -> None:
             lines.write(json.dumps(record) + "\n")
         took = time.monotonic() - began
         print(f"{number}/{len(due)} {status} {mutant.path}:{mutant.line} {took:.0f} s", flush=True)
+    if work.warm:
+        work.warm.close()
 
 
 def read_results(path: Path) -> dict[str, dict[str, object]]:
@@ -270,15 +298,23 @@ def list_mutants(arguments: argparse.Namespace) -> None:
 
 
 def make_page(arguments: argparse.Namespace) -> None:
-    """Write the page of results: of each sample as far as it is judged without a gap."""
+    """Write the page of results: of each part's sample as far as it is judged without a gap."""
     reasons = tomllib.loads((HERE / "equivalent.toml").read_text())
     judged = []
     for subject in SUBJECTS.values():
-        every = sample(subject, subject.read_suites(ROOT), seed=arguments.seed)
-        order = [mutant.key for _, mutant in every]
         known = read_results(RESULTS / subject.results)
-        results = [known[key] for key in takewhile(known.__contains__, order)]
-        judged.append(Judged(subject, results, len(order)))
+        every = sample(subject, subject.read_suites(ROOT), seed=arguments.seed)
+        order: dict[str, list[str]] = {}
+        for suite, mutant in every:
+            order.setdefault(suite.name, []).append(mutant.key)
+        results = {
+            name: [known[key] for key in takewhile(known.__contains__, keys)]
+            for name, keys in order.items()
+        }
+        totals = {name: len(keys) for name, keys in order.items()}
+        first = list(takewhile(known.__contains__, (mutant.key for _, mutant in every)))
+        simple = len(first) == sum(map(len, results.values()))
+        judged.append(Judged(subject, results, totals, simple))
     page = write_page(judged, reasons, seed=arguments.seed)
     (ROOT / "docs" / "project" / "mutation.md").write_text(page)
 
@@ -291,6 +327,9 @@ def main() -> None:
     parser.add_argument("action", choices=("list", "run", "page"))
     parser.add_argument("--of", choices=SUBJECTS, default="gateware", help="sources")
     parser.add_argument("--count", type=int, default=200, help="mutants in the sample")
+    parser.add_argument(
+        "--suite", action="append", help="judge mutants of this part alone; may be repeated"
+    )
     parser.add_argument("--seed", type=int, default=1, help="seed of the sample")
     parser.add_argument(
         "--minutes", type=float, default=1e6, help="begin no mutant after this time"

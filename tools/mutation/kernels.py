@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled kernels of a copy of the repository, compiled anew for a mutant of C."""
+"""The compiled kernels of a copy of the repository, compiled anew for a mutant of C.
+
+What is judged is compiled with ``-O1``, since the compiler would otherwise take longer than the
+tests.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import shutil
 import subprocess
@@ -63,18 +68,38 @@ class Kernels:
             compiled"`` if there is none, or nothing. Of the builds of a package for several
             processors, the first one that differs is used, and faster ones are taken away.
         """
-        shared = path.is_relative_to(self.made.host / "hueflight" / "backend")
-        packages: dict[Path, list[Extension]] = {}
-        for extension in self.extensions:
-            folder = (self.made.folder / extension.sources[0]).parent
-            if shared or folder == path.parent:
-                packages.setdefault(folder, []).append(extension)
+        packages = self._packages(path)
         try:
             found = {self._use_first_that_differs(builds) for builds in packages.values()}
             yield "not compiled" if "not compiled" in found else min(found)
         finally:
             for extension in itertools.chain.from_iterable(packages.values()):
                 shutil.copyfile(self._original(extension), self._place(extension))
+
+    def optimized(self, path: Path) -> str:
+        """Return a digest of the instructions and data of the kernels of a source with ``-O2``.
+
+        Parameters
+        ----------
+        path : Path
+            The source, in the copy.
+        """
+        digest = hashlib.sha256()
+        for extension in itertools.chain.from_iterable(self._packages(path).values()):
+            new = self.kept / "mutant.so"
+            self._compile(extension, new, "-O2")
+            digest.update(new.read_bytes())
+        return digest.hexdigest()
+
+    def _packages(self, path: Path) -> dict[Path, list[Extension]]:
+        """Return the extension modules that a source belongs to, by their folders of sources."""
+        shared = path.is_relative_to(self.made.host / "hueflight" / "backend")
+        packages: dict[Path, list[Extension]] = {}
+        for extension in self.extensions:
+            folder = (self.made.folder / extension.sources[0]).parent
+            if shared or folder == path.parent:
+                packages.setdefault(folder, []).append(extension)
+        return packages
 
     def _use_first_that_differs(self, builds: list[Extension]) -> str:
         for number, extension in enumerate(builds):
@@ -91,8 +116,8 @@ class Kernels:
                 return ""
         return "same code"
 
-    def _compile(self, extension: Extension, to: Path) -> None:
-        compile_kernels(self.made, extension, "cc", "-w", to=to)
+    def _compile(self, extension: Extension, to: Path, level: str = "-O1") -> None:
+        compile_kernels(self.made, extension, "cc", "-w", level, to=to)
 
     def _original(self, extension: Extension) -> Path:
         return self.kept / f"{extension.name}.so"

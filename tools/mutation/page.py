@@ -30,10 +30,11 @@ python tools/mutate.py run --of host --count 200    # the software from packets 
 python tools/mutate.py page                         # writes this page
 ```
 
-The mutants that were judged are simple random samples (seed {seed}), so the score of all mutants is
-known to within the interval given with it: the exact binomial (Clopper-Pearson) interval, which
-covers the true score in at least {confidence:.0%} of such samples. Survivors are counted as faults
-that the tests miss, unless a reason below says otherwise.
+The mutants of a part that were judged are a simple random sample of them (seed {seed}), so its
+score is known to within the interval given with it: the exact binomial (Clopper-Pearson) interval,
+which covers the true score in at least {confidence:.0%} of such samples. The score of all weighs
+parts by their mutants. Survivors are counted as faults that the tests miss, unless a reason below
+says otherwise.
 """
 CONFIDENCE = 0.95
 
@@ -69,15 +70,23 @@ class Judged:
     ----------
     subject : Subject
         What has mutants.
-    results : sequence of mapping
-        Records of ``tools/mutate.py``.
-    total : int
-        Number of mutants that the sources have.
+    results : mapping of str to sequence of mapping
+        Records of ``tools/mutate.py`` for each part, a random sample of its mutants.
+    totals : mapping of str to int
+        Number of mutants that each part has.
+    simple : bool
+        Whether all of them together are a simple random sample of all mutants.
     """
 
     subject: Subject
-    results: Sequence[Mapping[str, Any]]
-    total: int
+    results: Mapping[str, Sequence[Mapping[str, Any]]]
+    totals: Mapping[str, int]
+    simple: bool
+
+    @property
+    def every(self) -> list[Mapping[str, Any]]:
+        """Records of all parts."""
+        return [result for part in self.results.values() for result in part]
 
 
 def write_page(judged: Sequence[Judged], reasons: Mapping[str, str], *, seed: int) -> str:
@@ -99,18 +108,19 @@ def write_page(judged: Sequence[Judged], reasons: Mapping[str, str], *, seed: in
     """
     lines = [_HEAD.format(seed=seed, confidence=CONFIDENCE)]
     for sample in judged:
-        if sample.results:
+        if sample.every:
             lines += _section(sample, reasons)
     return "\n".join(lines) + "\n"
 
 
 def _section(sample: Judged, reasons: Mapping[str, str]) -> list[str]:
     """Return the section of a subject: scores of its parts, survivors, equivalent mutants."""
-    by_suite: dict[str, Counter[str]] = {}
-    for result in sample.results:
-        by_suite.setdefault(result["suite"], Counter())[_status(result, reasons)] += 1
-    every = sum(by_suite.values(), Counter())
-    known = f"{len(sample.results)} of {sample.total} mutants were judged."
+    counts = {
+        name: Counter(_status(result, reasons) for result in part)
+        for name, part in sorted(sample.results.items())
+    }
+    every = sum(counts.values(), Counter())
+    known = f"{len(sample.every):,} of {sum(sample.totals.values()):,} mutants were judged."
     if every["not compiled"]:
         known += f" {every['not compiled']} of them cannot be compiled and do not count."
     lines = [
@@ -118,19 +128,35 @@ def _section(sample: Judged, reasons: Mapping[str, str]) -> list[str]:
         "",
         known,
         "",
-        f"| part | killed | survived | equivalent | score | {CONFIDENCE:.0%} interval |",
-        "|---|---|---|---|---|---|",
+        f"| part | mutants | killed | survived | equivalent | score | {CONFIDENCE:.0%} interval |",
+        "|---|---|---|---|---|---|---|",
     ]
-    for name, counts in [*sorted(by_suite.items()), ("all", every)]:
-        killed, survived = counts["killed"], counts["survived"]
+    for name, found in [*counts.items(), ("all", every)]:
+        killed, survived = found["killed"], found["survived"]
+        total = sample.totals.get(name, sum(sample.totals.values()))
         score = shown = "–"
         if killed + survived:
-            score = f"{killed / (killed + survived):.1%}"
+            share = killed / (killed + survived)
             shown = " to ".join(f"{bound:.1%}" for bound in interval(killed, survived))
-        cells = (name, killed, survived, counts["equivalent"], score, shown)
+            if name == "all" and not sample.simple:
+                share, shown = _weighted(counts, sample.totals), "–"
+            score = f"{share:.1%}"
+        cells = (name, f"{total:,}", killed, survived, found["equivalent"], score, shown)
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += _table("Survivors", sample, reasons, "survived")
     return [*lines, *_table("Equivalent mutants", sample, reasons, "equivalent"), ""]
+
+
+def _weighted(counts: Mapping[str, Counter[str]], totals: Mapping[str, int]) -> float:
+    """Return the score of all parts of which mutants were judged, by their numbers of mutants."""
+    parts = {
+        name: found["killed"] / (found["killed"] + found["survived"])
+        for name, found in counts.items()
+        if found["killed"] + found["survived"]
+    }
+    return sum(share * totals[name] for name, share in parts.items()) / sum(
+        totals[name] for name in parts
+    )
 
 
 def _status(result: Mapping[str, Any], reasons: Mapping[str, str]) -> str:
@@ -144,7 +170,7 @@ def _status(result: Mapping[str, Any], reasons: Mapping[str, str]) -> str:
 def _table(title: str, sample: Judged, reasons: Mapping[str, str], status: str) -> list[str]:
     """Return a section that lists the mutants of a status."""
     rows = []
-    for result in sorted(sample.results, key=lambda r: (r["path"], r["line"])):
+    for result in sorted(sample.every, key=lambda r: (r["path"], r["line"])):
         if _status(result, reasons) != status:
             continue
         file = result["path"]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
 import subprocess
 import sys
@@ -170,3 +171,33 @@ def test_the_sources_have_mutants_in_every_part():
     ):
         assert counts[path] > 50, path
     assert "protocol/hueflight_protocol/typed_registers/camera.py" not in counts
+
+
+def test_warm_runs_of_tests(tools, tmp_path: Path):
+    """Each run loads the sources anew; one that fails, dies or goes on too long has not passed."""
+    from mutation.warm import WarmTests
+
+    folders = (tmp_path, ROOT / "host", ROOT / "protocol")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(map(str, folders)),
+        "PYTHONDONTWRITEBYTECODE": "1",  # sources of the same size, changed within a second
+    }
+    (tmp_path / "test_it.py").write_text("import part\ndef test_it():\n    part.work()\n")
+    warm = WarmTests(tmp_path, environment, [])
+    try:
+        for body, limits, expected in (
+            ("pass", (None, None), True),
+            ("assert False", (None, None), False),
+            ("import os; os.abort()", (None, None), False),
+            ("while True: pass", (5, None), False),
+            ("import time; time.sleep(900)", (None, 5), False),
+            ("pass", (None, None), True),
+        ):
+            (tmp_path / "part.py").write_text(f"def work():\n    {body}\n")
+            options = ["-q", "-p", "no:cacheprovider", "test_it.py"]
+            passed, seconds = warm.run(options, limit=limits[0], timeout=limits[1])
+            assert passed == expected, body
+            assert seconds > 0
+    finally:
+        warm.close()

@@ -25,7 +25,7 @@ class Part:
         """Return 2 + 2."""
         if not x and 1 <= x < 9:
             self.add(f"{x + 1}")
-        seen: list[int] = [i for i in y if i in x]
+        seen: list[int] = [i for i, _ in zip(y, y, strict=True) if i in x]
         while True:
             x += 2.5
             break

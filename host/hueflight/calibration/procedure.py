@@ -445,7 +445,7 @@ def _gains(
     flat_field, left = shrink_to_line_means(relative, variance, known)
     flat_field = np.where(known, flat_field, np.nan)
     flat_field_std = np.where(known, np.sqrt(left), np.nan)
-    mean = np.array([(band[known] / flat_field[known]).mean() for band in per_frame])
+    mean = (per_frame[:, known] / flat_field[known]).mean(axis=-1)
     if (mean <= 0).any():
         dark_bands = np.flatnonzero(mean <= 0).tolist()
         if overlap_widely(instrument):

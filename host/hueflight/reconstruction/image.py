@@ -6,6 +6,7 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import version
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import xarray as xr
@@ -15,6 +16,9 @@ from hueflight.calibration import Calibration
 from hueflight.reconstruction.estimates import Estimates
 from hueflight.reconstruction.quality import flag_attributes
 from hueflight.reconstruction.range_correction import attributes as correction_attributes
+
+#: images without values by what their labels depend on, since making labels takes 1 ms
+_labels: WeakKeyDictionary[Calibration, dict[tuple[Any, ...], xr.Dataset]] = WeakKeyDictionary()
 
 UNITS = {
     "depth": "m",
@@ -93,8 +97,28 @@ def as_image(
     Dataset
         Dimensions (row, col) and (row, col, band); units and provenance in the attributes.
     """
-    plane, cube = ("row", "col"), ("row", "col", "band")
     found = _arrays(estimates)
+    shapes = tuple((name, values.shape, values.dtype) for name, values in found.items())
+    kept = _labels.setdefault(calibration, {})
+    key = method, range_correction, exposures_known, shapes
+    if key not in kept:
+        empty = {
+            name: np.broadcast_to(values.dtype.type(0), values.shape)
+            for name, values in found.items()
+        }
+        kept[key] = _labeled(empty, calibration, method, range_correction, exposures_known)
+    return like_image(kept[key], estimates)
+
+
+def _labeled(
+    found: dict[str, NDArray[Any]],
+    calibration: Calibration,
+    method: str,
+    range_correction: bool,
+    exposures_known: bool,
+) -> xr.Dataset:
+    """Return values by name as a labeled image."""
+    plane, cube = ("row", "col"), ("row", "col", "band")
     variables = {}
     for name in (*UNITS, "quality"):
         if name in found:
@@ -157,8 +181,10 @@ def like_image(image: xr.Dataset, estimates: Estimates) -> xr.Dataset:
     """
     found = _arrays(estimates)
     new = image.copy(data={name: found[str(name)] for name in image.data_vars})
-    if "white_photons" in found:  # a coordinate, which copying leaves as it is
-        new.variables["white_photons"].data = found["white_photons"]
+    for name in image.coords:  # which copying leaves as they are
+        if name not in image.indexes:
+            variable = new.variables[name]
+            variable.data = found[str(name)] if name in found else variable.values.copy()
     return new
 
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import hueflight as hf
 from hueflight.errors import HistogramError, HueflightError
@@ -116,3 +117,17 @@ def test_methods_state_options_that_exist():
 def test_the_earlier_name_of_a_flag():
     assert Quality.STARVED is Quality.LOW_SIGNAL
     assert "STARVED" not in [flag.name for flag in Quality]
+
+
+def test_images_of_a_calibration_share_neither_values_nor_labels(setting):
+    calibration, counts = setting
+    before = hf.reconstruct(counts, calibration)
+    kept = before.copy(deep=True)
+    changed = hf.reconstruct(counts, calibration)
+    for variable in changed.variables.values():
+        variable.attrs["units"] = "none"
+    for name in ("depth", "reflectance", "wavelength", "white_photons", "white_share"):
+        changed[name].values[:] = 7
+    changed.attrs["method"] = "none"
+    xr.testing.assert_identical(before, kept)
+    xr.testing.assert_identical(hf.reconstruct(counts, calibration), kept)

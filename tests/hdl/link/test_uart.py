@@ -61,6 +61,16 @@ def test_glitches_are_no_bytes(simulator: None):
     assert [byte for byte, _ in received(100e6, 3e6, levels)] == list(data)
 
 
+@pytest.mark.parametrize("clocks", [4, 8, 15])
+def test_less_than_half_a_start_bit_is_no_byte(simulator: None, clocks: int):
+    """Between bytes; the filter passes pulses of so many of 33.3 clocks."""
+    data = bytes([0x00, 0x55, 0xFF, 0xA3])
+    low = np.concatenate((np.zeros(clocks), np.ones(100))).astype(np.uint8)
+    bytes_apart = [line_levels(data[k : k + 1], clocks_per_bit=33.3, idle_bits=2) for k in range(4)]
+    levels = np.concatenate([part for byte in bytes_apart for part in (byte, low, low)])
+    assert received(100e6, 3e6, levels) == [(byte, False) for byte in data]
+
+
 def test_a_line_held_low_is_one_bad_byte(simulator: None):
     levels = np.concatenate((np.ones(50), np.zeros(2000), np.ones(50)))
     following = line_levels(b"\x55", clocks_per_bit=33.3, idle_bits=2)

@@ -93,6 +93,8 @@ def board(
         raise DeviceError(f"--led {led[0]}: belongs to `hueflight board skew`")
     if yes and action != "skew":
         raise DeviceError("--yes: belongs to `hueflight board skew`")
+    if action == "skew" and port.startswith(_USB):
+        raise DeviceError(f"{port}: is a camera, which has no LEDs; name an illuminator's port")
     if action == "skew":
         return _skew(port, led, yes=yes, baud=baud, record=record, json=json)
     if action == "clock":

@@ -130,12 +130,14 @@ def _frames(camera: Camera, frames: int) -> SelfTestResult:
     pieces: list[bytes] = []  # parsed afterwards: a slow computer is not to stall the link
     camera.start(frame_limit=frames)
     came_last = began = time.monotonic()
-    while camera.running() and time.monotonic() - came_last < _PATIENCE_S:
-        if piece := camera.read(_QUIET_S):
-            pieces.append(piece)
-            came_last = time.monotonic()
-    took_s = time.monotonic() - began
-    camera.stop()  # of no effect if the run has ended, as it should have
+    try:
+        while camera.running() and time.monotonic() - came_last < _PATIENCE_S:
+            if piece := camera.read(_QUIET_S):
+                pieces.append(piece)
+                came_last = time.monotonic()
+        took_s = time.monotonic() - began
+    finally:
+        camera.stop()  # of no effect if the run has ended, as it should have
     _drain(camera, _QUIET_S, pieces.append)
     counters = camera.counters()
     parser = PacketParser()

@@ -12,6 +12,7 @@ from hueflight.devices.errors import DeviceError
 from hueflight.devices.illuminator import Illuminator
 from hueflight.devices.pulse_schedule import ChannelPulse, PulseSchedule
 from hueflight.devices.selftest import WORDS, SelfTestResult, Tell, line_test, temperature_test
+from hueflight.devices.skew import PERIOD_TICKS, WIDTH_TICKS
 from hueflight_protocol.illuminator_map import TriggerSource
 from hueflight_protocol.typed_registers import illuminator as registers
 
@@ -20,10 +21,6 @@ TRAINS = 20
 ON_NS = 10.0
 """Longest on-time of an LED in a train, unless a tick is longer."""
 _TRAIN_TICKS = 1024
-LOOP_TICKS = 480
-"""Of the trains of the trigger loop. The pulse comes two clocks before their end, so that one is
-always on its way when the trigger's source changes to the wire, and a second one is ignored."""
-_PULSE_TICKS = 8
 _WATCHDOG_MS = 1000
 _SHORT_WATCHDOG_MS = 5
 _POLLS = 400
@@ -119,26 +116,31 @@ def _clock(board: Illuminator) -> SelfTestResult:
 def _loop(board: Illuminator, dwell_s: float) -> SelfTestResult:
     """Test that each trigger from the output comes back and starts the next train, LEDs off."""
     tick = board.capacity.tick_ns
-    filtered = board.board.read(registers.TriggerFilter)
-    period = LOOP_TICKS * tick
+    filtered, output = (
+        board.board.read(registers.TriggerFilter),
+        board.board.read(registers.TriggerOut),
+    )
+    period = PERIOD_TICKS * tick
     board.disarm()
     board.play(PulseSchedule(((),) * board.capacity.channels, period_ns=period))
-    board.set_trigger_out(period - 2 * board.capacity.lanes * tick, _PULSE_TICKS * tick)
-    board.set_trigger(TriggerSource.INTERNAL, period_ns=period, output=True)
-    board.set_trigger(TriggerSource.EXTERNAL, output=True, filter_ns=0)
     try:
+        # as for the skew: one pulse is always on its way when the source changes to the wire
+        board.set_trigger_out(period - 2 * board.capacity.lanes * tick, WIDTH_TICKS * tick)
+        board.set_trigger(TriggerSource.INTERNAL, period_ns=period, output=True)
+        board.set_trigger(TriggerSource.EXTERNAL, output=True, filter_ns=0)
         board.state()  # long enough for the second pulse to be ignored
         board.clear()
         until = time.monotonic() + dwell_s
         found = board.counters()
-        for polls in count(1):
+        polls = 1
+        while (found.served < TRAINS and polls < _POLLS) or time.monotonic() < until:
             found = board.counters()
-            if (found.served >= TRAINS or polls >= _POLLS) and time.monotonic() >= until:
-                break
+            polls += 1
         goes_on = board.counters().served > found.served
     finally:
         board.set_trigger(TriggerSource.EXTERNAL)
         board.board.write(filtered)
+        board.board.write(output)
     return SelfTestResult(
         "trigger loop",
         goes_on and found.served >= TRAINS and not found.ignored,

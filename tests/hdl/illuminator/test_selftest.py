@@ -11,14 +11,15 @@ import pytest
 from hueflight.devices import DeviceError
 from hueflight.devices.illuminator import Illuminator
 from hueflight.devices.illuminator_selftest import (
-    LOOP_TICKS,
     TRAINS,
     run_illuminator_selftest,
 )
+from hueflight.devices.skew import PERIOD_TICKS
 from hueflight.devices.transports.replay import RecordingTransport, ReplayTransport
 from hueflight.devices.transports.serial import SerialTransport
 from hueflight_hdl.testbench.illuminator import IlluminatorTestbench
 from hueflight_hdl.testbench.ticks import words_to_ticks
+from hueflight_protocol.typed_registers import illuminator as registers
 from hueflight_protocol.typed_registers.illuminator import TriggerPeriod
 
 from .conftest import SMALL, WAIT_S
@@ -84,8 +85,11 @@ def test_a_trigger_goes_round_with_all_leds_off(
 ):
     lead_trigger(bench, monkeypatch)
     bench.record()
+    driver.set_trigger_out(400, 100)
+    before = driver.board.read(registers.TriggerOut)
     results = run_illuminator_selftest(driver, words=1, leds=False, loop=True)
     bench.recording = False
+    assert driver.board.read(registers.TriggerOut) == before
     assert [result.name for result in results] == ["clock", "line", "trigger loop"]
     assert results[-1].passed, results[-1]
     assert not bench.levels().any()
@@ -96,7 +100,7 @@ def test_a_trigger_goes_round_with_all_leds_off(
     )[0]
     turns = np.diff(np.flatnonzero(np.diff(outputs.astype(np.int8)) > 0))
     lanes = SMALL.pulse.lanes
-    expected = LOOP_TICKS - 2 * lanes + lanes * (WIRE_CLOCKS + bench.latency_clocks)
+    expected = PERIOD_TICKS - 2 * lanes + lanes * (WIRE_CLOCKS + bench.latency_clocks)
     assert np.count_nonzero(turns == expected) >= TRAINS
 
 

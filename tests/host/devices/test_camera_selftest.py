@@ -121,6 +121,18 @@ def test_frames_that_the_camera_drops_are_a_failure(small: Callable[..., Instrum
     assert " 0 not sent" not in frames.measured
 
 
+def test_a_run_that_is_interrupted_is_ended(bench: Bench) -> None:
+    def interrupt(piece: bytes) -> bytes:
+        if bench.camera.running():
+            raise KeyboardInterrupt
+        return piece
+
+    bench.change = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        bench.results()
+    assert not bench.camera.running()
+
+
 def test_a_run_of_somebody_else_is_left_alone(bench: Bench) -> None:
     bench.camera.start()
     with pytest.raises(DeviceError, match="is in a run"):
@@ -161,3 +173,7 @@ def test_the_command_tests_a_camera_on_usb(
         main(["board", "selftest", "usb:0001", "--loop"])
     assert ended.value.code == 1
     assert "--loop belongs to illuminators" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        main(["board", "skew", "usb:0001"])
+    assert ended.value.code == 1
+    assert "is a camera, which has no LEDs" in capsys.readouterr().err

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,19 @@ from hueflight.devices.selftest import WORDS, SelfTestResult
 from hueflight.devices.skew import measure_skew
 
 _USB = "usb:"
+_ACTIONS = {
+    "--source": "clock",
+    "--led": "skew",
+    "--yes": "skew",
+    "--no-leds": "selftest",
+    "--loop": "selftest",
+    "--dwell": "selftest",
+    "--words": "selftest",
+}
+"""Options that belong to one action."""
+_ILLUMINATOR = ("--no-leds", "--loop", "--dwell", "--baud", "--record")
+"""Options that a camera does not have."""
+_DWELL_S = 0.5
 
 
 def board(
@@ -37,8 +51,8 @@ def board(
     baud: int | None = None,
     leds: Annotated[bool, Parameter(negative="--no-leds")] = True,
     loop: Annotated[bool, Parameter(negative=())] = False,
-    dwell: float = 0.5,
-    words: int = WORDS,
+    dwell: float | None = None,
+    words: int | None = None,
     record: Path | None = None,
     json: bool = False,
 ) -> int:
@@ -71,10 +85,10 @@ def board(
         Whether LEDs may fire; without, the walk and the watchdog are left out.
     loop : bool, default False
         A wire leads the trigger output of the illuminator to its trigger input: test both.
-    dwell : float, default 0.5
-        Shortest time for which each LED fires, in seconds.
-    words : int, default 2000
-        Number of words that are sent to the board and back.
+    dwell : float, optional
+        Shortest time for which each LED fires, in seconds; by default 0.5.
+    words : int, optional
+        Number of words that are sent to the board and back; by default 2000.
     record : Path, optional
         Write all transactions with the board to this file, as JSON lines.
     json : bool, default False
@@ -85,28 +99,32 @@ def board(
     int
         Exit code.
     """
+    given = {
+        "--source": source,
+        "--led": led and led[0],
+        "--yes": yes,
+        "--no-leds": not leds,
+        "--loop": loop,
+        "--dwell": dwell,
+        "--words": words,
+        "--baud": baud,
+        "--record": record,
+    }
+    _check_options(given, action, port)
+    words = WORDS if words is None else words
+    dwell = _DWELL_S if dwell is None else dwell
     if words < 1 or dwell < 0:
         raise DeviceError(f"--words {words} --dwell {dwell:g}: must be at least 1 word and 0 s")
-    if source is not None and action != "clock":
-        raise DeviceError(f"--source {source}: belongs to `hueflight board clock`")
-    if led is not None and action != "skew":
-        raise DeviceError(f"--led {led[0]}: belongs to `hueflight board skew`")
-    if yes and action != "skew":
-        raise DeviceError("--yes: belongs to `hueflight board skew`")
     if action == "skew" and port.startswith(_USB):
         raise DeviceError(f"{port}: is a camera, which has no LEDs; name an illuminator's port")
     if action == "skew":
         return _skew(port, led, yes=yes, baud=baud, record=record, json=json)
     if action == "clock":
         return _clock(port, source, baud=baud, record=record, json=json)
-    if loop and action != "selftest":
-        raise DeviceError("--loop: belongs to `hueflight board selftest`")
     device = _open(port, baud=baud, record=record)
     tell = partial(_tell, quiet=json)
     try:
         if isinstance(device, Camera):
-            if loop:
-                raise DeviceError(f"{port}: --loop belongs to illuminators; leave it out")
             results = run_camera_selftest(device, words=words, tell=tell)
         else:
             results = run_illuminator_selftest(
@@ -127,12 +145,22 @@ def board(
     return 0 if passed else FAILED
 
 
+def _check_options(given: Mapping[str, object], action: str, port: str) -> None:
+    """Refuse options of another action or another kind of board, which would do nothing."""
+    for option, value in given.items():
+        if value is None or value is False:
+            continue
+        told = option if value is True else f"{option} {value}"
+        if _ACTIONS.get(option, action) != action:
+            raise DeviceError(f"{told}: belongs to `hueflight board {_ACTIONS[option]}`")
+        if port.startswith(_USB) and option in _ILLUMINATOR:
+            raise DeviceError(f"{port}: {told} belongs to illuminators; leave it out")
+
+
 def _open(port: str, *, baud: int | None, record: Path | None) -> Camera | Illuminator:
     """Open a camera on USB or an illuminator on a serial port."""
     if not port.startswith(_USB):
         return open_illuminator(port, baud=baud, record=record)
-    if baud is not None or record is not None:
-        raise DeviceError(f"{port}: --baud and --record belong to serial ports; leave them out")
     return open_usb_camera(port.removeprefix(_USB))
 
 

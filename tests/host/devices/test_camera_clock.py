@@ -124,4 +124,4 @@ def test_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     assert "external" in out
     code, _, err = run("usb:", "--baud", "115200")
     assert code == 1
-    assert "--baud and --record belong to serial ports" in " ".join(err.split())
+    assert "usb:: --baud 115200 belongs to illuminators" in " ".join(err.split())

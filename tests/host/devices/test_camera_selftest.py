@@ -170,10 +170,28 @@ def test_the_command_tests_a_camera_on_usb(
     found = json.loads(capsys.readouterr().out)
     assert [test["name"] for test in found["tests"]] == ["line", "link", "frames"]
     with pytest.raises(SystemExit) as ended:
-        main(["board", "selftest", "usb:0001", "--loop"])
-    assert ended.value.code == 1
-    assert "--loop belongs to illuminators" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as ended:
         main(["board", "skew", "usb:0001"])
     assert ended.value.code == 1
     assert "is a camera, which has no LEDs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("selftest usb:1 --loop", "usb:1: --loop belongs to illuminators"),
+        ("selftest usb:1 --no-leds", "usb:1: --no-leds belongs to illuminators"),
+        ("selftest usb:1 --dwell 0", "usb:1: --dwell 0.0 belongs to illuminators"),
+        ("clock usb:1 --baud 115200", "usb:1: --baud 115200 belongs to illuminators"),
+        ("clock usb:1 --words 5", "--words 5: belongs to `hueflight board selftest`"),
+        ("clock usb:1 --dwell 2", "--dwell 2.0: belongs to `hueflight board selftest`"),
+        ("selftest usb:1 --led 0", "--led 0: belongs to `hueflight board skew`"),
+        ("selftest usb:1 --source internal", "--source internal: belongs to `hueflight board clo"),
+    ],
+)
+def test_options_without_effect_are_refused(
+    capsys: pytest.CaptureFixture[str], words: str, said: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["board", *words.split()])
+    assert ended.value.code == 1
+    assert said in " ".join(capsys.readouterr().err.split())

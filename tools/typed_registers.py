@@ -34,7 +34,7 @@ BUILDS = {
             run=64,
             geometry=1,
             clock_hz=1,
-            reduction=ReductionRoom(sums=1, entry_bits=1, sum_bits=1, group=4),
+            reduction=ReductionRoom(sums=1, entry_bits=1, sum_bits=2, group=4, narrow=1),
             external_clock=True,
             reference_hz=1,
         ),

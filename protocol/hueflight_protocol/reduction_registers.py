@@ -29,6 +29,8 @@ class ReductionRoom:
         Sums per pixel, bits of a table entry and of a sum.
     group : int
         Pixels whose offsets are written together, a multiple of 4.
+    narrow : int
+        Number of the last sums that have one bit less.
 
     Raises
     ------
@@ -40,6 +42,7 @@ class ReductionRoom:
     entry_bits: int = MOST_ENTRY_BITS
     sum_bits: int = MOST_SUM_BITS
     group: int = MOST_GROUP
+    narrow: int = 0
 
     def __post_init__(self) -> None:
         for name, most in (
@@ -51,6 +54,16 @@ class ReductionRoom:
                 raise RegisterError(f"{name} = {number}: must be from 1 to {most}")
         if self.group % 4:
             raise RegisterError(f"group = {self.group}: must be a multiple of 4")
+        if not 0 <= self.narrow <= self.sums or (self.narrow and self.sum_bits < 2):
+            raise RegisterError(
+                f"narrow = {self.narrow}: must be from 0 to {self.sums}, of sums of 2 bits or more"
+            )
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Bits of each sum."""
+        wide = self.sums - self.narrow
+        return (self.sum_bits,) * wide + (self.sum_bits - 1,) * self.narrow
 
 
 def reduction_registers(room: ReductionRoom, /) -> list[Register]:
@@ -126,6 +139,13 @@ def reduction_registers(room: ReductionRoom, /) -> list[Register]:
             Access.PULSE,
             value(20, "group of pixels whose offsets `reduction_offsets` holds"),
             "store offsets; only between captures",
+        ),
+        Register(
+            "reduction_narrow",
+            0x058,
+            Access.CONST,
+            value(8, "last sums, of those that there is room for", reset=room.narrow),
+            "sums that have one bit less than `reduction_room` says",
         ),
         Register(
             "reduction_width",

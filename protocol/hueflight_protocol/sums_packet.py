@@ -47,13 +47,13 @@ class Sums:
     rows, cols : int
         Shape of the picture.
     frames : int
-        Frames that the sums hold.
+        Frames that the sums of these pixels hold; other packets of the picture may have others.
     tables : int
         `ReductionTables.hash` of the tables.
     missed : int
         Frames that came while they were gathered and are not in them.
     photons : int
-        Codes that were added, over all pixels of the picture.
+        Codes that were added, over all these pixels.
     offsets : int
         CRC-32C of the offsets of all pixels, one signed byte each; 0 where none is moved.
     periods : int

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .sums_packet import NUMBERS, Sums
+from .sums_packet import Sums
 
-_COMMON = tuple(name for name in (*NUMBERS, "widths", "flags") if name != "first_pixel")
+_COMMON = ("picture", "rows", "cols", "tables", "offsets", "code_bits", "widths")
+"""What the packets of a picture have in common; each has frames of its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,12 +24,18 @@ class SumsPicture:
         Sums; 0 where the pixel is not present.
     present : ndarray of bool, shape (row, col)
         Pixels whose packet arrived.
+    frames : ndarray of int64, shape (row, col)
+        Frames that the sums of each pixel hold; 0 where it is not present.
+    missed : ndarray of int64, shape (row, col)
+        Frames that came meanwhile and are not in them; 0 where it is not present.
     first : Sums
         The first packet of the picture, which tells what all of them have in common.
     """
 
     values: NDArray[np.uint32]
     present: NDArray[np.bool_]
+    frames: NDArray[np.int64]
+    missed: NDArray[np.int64]
     first: Sums
 
     @property
@@ -80,12 +87,20 @@ class PictureAssembler:
             return None
         values = np.zeros((first.rows * first.cols, len(first.widths)), np.uint32)
         present = np.zeros(len(values), bool)
+        frames, missed = np.zeros((2, len(values)), np.int64)
         for part in self._parts:
             here = slice(part.first_pixel, part.first_pixel + len(part.values))
             values[here], present[here] = part.values, True
+            frames[here], missed[here] = part.frames, part.missed
         self._first, self._parts = None, []
         shape = first.rows, first.cols
-        return SumsPicture(values.reshape(*shape, -1), present.reshape(shape), first)
+        return SumsPicture(
+            values.reshape(*shape, -1),
+            present.reshape(shape),
+            frames.reshape(shape),
+            missed.reshape(shape),
+            first,
+        )
 
     def _continues(self, part: Sums) -> bool:
         """Tell whether a packet belongs to the picture that is being joined."""

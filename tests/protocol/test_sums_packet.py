@@ -92,3 +92,14 @@ def test_a_missing_part_leaves_its_pixels_unknown():
     assert picture is not None
     assert picture.first.picture == 1
     assert picture.present.sum() == 10
+
+
+def test_each_part_of_a_picture_has_frames_of_its_own():
+    assembler = hp.PictureAssembler()
+    assembler.feed(part(0, 10, frames=7, missed=2, photons=5))
+    assembler.feed(part(10, 2, frames=8, flags=hp.FrameFlags.GATED, periods=3))
+    picture = assembler.feed(part(18, 6, frames=0, missed=4))
+    assert picture is not None
+    frames, missed = picture.frames.reshape(-1), picture.missed.reshape(-1)
+    assert frames.tolist() == [7] * 10 + [8] * 2 + [0] * 12
+    assert missed.tolist() == [2] * 10 + [0] * 8 + [4] * 6

@@ -60,6 +60,7 @@ __all__ = [
     "ReductionFrames",
     "ReductionMove",
     "ReductionMoved",
+    "ReductionNarrow",
     "ReductionOffsets",
     "ReductionRoom",
     "ReductionStore",
@@ -1065,6 +1066,23 @@ class ReductionMove(RegisterValue):
     NAME: ClassVar[str] = "reduction_move"
     ADDRESS: ClassVar[int] = 0x0057
     VALUE_MAX: ClassVar[int] = 1048575
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReductionNarrow(RegisterValue):
+    """Sums that have one bit less than `reduction_room` says.
+
+    Attributes
+    ----------
+    value : int
+        Last sums, of those that there is room for.
+    """
+
+    NAME: ClassVar[str] = "reduction_narrow"
+    ADDRESS: ClassVar[int] = 0x0058
+    VALUE_MAX: ClassVar[int] = 255
 
     value: int
 

@@ -66,7 +66,7 @@ class SumsReference:
         Rows and columns.
     dropped, cut : set of int
         Frames of which nothing came, and frames that ended early: these take with them what was
-        gathered before.
+        gathered before in the same window.
     """
 
     tables: ReductionTables
@@ -96,8 +96,9 @@ class SumsReference:
         self.held += part.frames * (first == 0)
 
         tables = self.tables
-        codes = np.array([self.frames[number] for number in added])
-        expected = reduce_codes(codes[:, here], tables, offsets=self.offsets[here])
+        codes = np.array([self.frames[number][here] for number in added], np.uint16)
+        codes = codes.reshape(-1, pixels)
+        expected = reduce_codes(codes, tables, offsets=self.offsets[here])
         np.testing.assert_array_equal(part.values, expected)
         assert part.photons == ((codes >= tables.first) & (codes <= tables.last)).sum()
         assert (part.rows, part.cols) == self.shape

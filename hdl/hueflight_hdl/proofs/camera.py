@@ -13,7 +13,7 @@ from .camera_formatter import (
     TrailerHarness,
     WalkHarness,
 )
-from .camera_reduction import BanksHarness, SumHarness, WriterHarness
+from .camera_reduction import SumCollisionHarness, SumHarness, WindowsHarness, WriterHarness
 from .camera_time import TimeHarness
 from .proof import Proof
 
@@ -98,11 +98,18 @@ PROOFS = (
         depth=2,
     ),
     Proof(
-        "camera-sum-banks",
-        "No sum of a picture that can be read is written until the picture is given back, with any "
-        "beats, settings and reader.",
-        BanksHarness,
-        depth=30,
+        "camera-sum-windows",
+        "Sums that can be fetched hold just the frames that are said of them until they are given "
+        "back, with any frames, settings and reader.",
+        WindowsHarness,
+        depth=16,
+        induction=False,
+    ),
+    Proof(
+        "camera-sum-collisions",
+        "The sums of a group are never read while they are written, but where they begin anew.",
+        SumCollisionHarness,
+        depth=18,
         induction=False,
     ),
     Proof(

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sums never wrap, the two banks never mix two pictures, and no word of a packet is lost."""
+"""Sums never wrap, no block mixes two windows of frames, and no word of a packet is lost."""
 
 from __future__ import annotations
 
-from amaranth.hdl import Assert, Module, Signal
+from amaranth.hdl import Array, Assert, Assume, Module, Mux, Signal
+from amaranth.lib import data
+from amaranth.lib.memory import WritePort
 
 from hueflight_protocol.reduction_registers import ReductionRoom
 
 from ..camera.frame_format import FrameFormat
 from ..camera.reduction.core import LEAST_GROUPS, ReductionCore, SaturatingSum
 from ..camera.reduction.picture_writer import PictureWriter
+from ..camera.reduction.windows import BlockPlan, BlockWindows
 from .harness import FreeHarness
 
 WIDTH, ENTRY_BITS = 19, 8
@@ -24,44 +27,139 @@ class SumHarness(FreeHarness):
 
     def state(self, m: Module) -> None:
         """The sum is exact or the greatest value, and never less than before."""
-        adder = self.adder
-        exact = adder.after == adder.before + adder.entry
-        greatest = (adder.after == adder.limit) & (adder.before + adder.entry >= adder.limit)
-        never_less = (adder.after >= adder.before) | (adder.before > adder.limit)
-        m.d.comb += [
-            Assert(exact | greatest),
-            Assert(adder.after <= adder.limit),
-            Assert(never_less),
-        ]
+        adder, begun = self.adder, Signal()
+        before, entry = Signal.like(adder.before), Signal.like(adder.entry)
+        m.d.sync += [begun.eq(1), before.eq(adder.before), entry.eq(adder.entry)]
+        exact = adder.after == before + entry
+        greatest = (adder.after == adder.limit) & (before + entry >= adder.limit)
+        never_less = (adder.after >= before) | (before > adder.limit)
+        with m.If(begun):
+            m.d.comb += [
+                Assert(exact | greatest),
+                Assert(adder.after <= adder.limit),
+                Assert(never_less),
+            ]
 
 
-class BanksHarness(FreeHarness):
-    """The smallest core with free inputs: any beats, marks, settings and readers."""
+class WindowsHarness(FreeHarness):
+    """Two blocks of three groups, with frames that come and end early at any time, and any reader.
+
+    A number for each group stands for its sums. All codes count, so that it is the number of frames
+    of the group's window.
+    """
 
     def __init__(self) -> None:
-        self.core = ReductionCore(
-            pixels=LEAST_GROUPS,
-            lanes=1,
-            code_bits=2,
-            widths=(2,),
-            entry_bits=1,
+        self.windows = BlockWindows(BlockPlan(3, 2, frame_bits=4), 1)
+        super().__init__(self.windows)
+
+    def state(self, m: Module) -> None:
+        """What can be fetched holds the frames that it says, and no other."""
+        windows, here = self.windows, Signal(self.windows.plan.place_layout())
+        m.d.sync += here.eq(windows.place)
+        self._beats(m, here)
+        sums, stored = (Array(Signal(4, name=f"{name}{n}") for n in range(3)) for name in "sb")
+        with m.If(windows.valid):
+            m.d.sync += sums[here.group].eq(Mux(windows.fresh, 0, sums[here.group]) + 1)
+        with m.If(windows.store):
+            m.d.sync += stored[here.at].eq(Mux(windows.store_fresh, 0, sums[here.group]))
+
+        block, held, about = windows.block, Signal(), Signal.like(windows.block)
+        frames = block.window.frames
+        m.d.sync += [held.eq(windows.ready & ~windows.done), about.eq(block)]
+        with m.If(windows.ready):
+            m.d.comb += [
+                Assert(stored[0] == frames),
+                Assert((block.groups == 1) | (stored[1] == frames)),
+                Assert(block.window.photons == Mux(block.groups == 1, frames, 2 * frames)),
+            ]
+        with m.If(held):
+            m.d.comb += [Assert(windows.ready), Assert(block == about)]
+
+        # no frame of a block is told twice
+        came, told = Signal(8), Signal(8)
+        first = windows.ready & (block.first_group == 0)
+        m.d.sync += came.eq(
+            came + windows.lost + (windows.discard | (windows.valid & here.group[1]))
         )
+        with m.If(first):
+            m.d.comb += Assert(told + frames + block.missed <= came)
+            with m.If(windows.done):
+                m.d.sync += told.eq(told + frames + block.missed)
+
+    def _beats(self, m: Module, here: data.View) -> None:
+        """Assume beats and looks in the order in which the core gives them."""
+        windows, group, looked = self.windows, Signal(range(3)), Signal(2)
+        m.d.comb += [
+            Assume(here.group != 3),
+            Assume(here.block == here.group[1]),
+            Assume(here.at == here.group[0]),
+            Assume(here.last == (here.group != 0)),
+            Assume(~windows.clear & (windows.count == 1)),
+            Assume(~windows.valid | (here.group == group)),
+            Assume(windows.frame_last == (group == 2)),
+            Assume(~(windows.valid & (group == 0) & windows.full)),
+            Assume(~windows.discard | (~windows.valid & (group != 0))),
+            Assume(~windows.finish | (~windows.valid & (group == 0))),
+        ]
+        with m.If(windows.valid):
+            m.d.sync += group.eq(Mux(group == 2, 0, group + 1))
+        with m.If(windows.discard):
+            m.d.sync += group.eq(0)
+        m.d.sync += looked.eq(windows.taken)
+        with m.If(windows.look):
+            m.d.comb += [
+                Assume(windows.wanted & ~windows.valid & (group == 0)),
+                Assume(here.block == windows.wanted_place.block),
+                Assume(here.at == looked),
+            ]
+            m.d.sync += looked.eq(looked + 1)
+
+
+class WatchedCore(ReductionCore):
+    """The smallest core, which says what its memory of sums does."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            pixels=LEAST_GROUPS, lanes=1, code_bits=1, widths=(1,), entry_bits=1, block_groups=3,
+            frame_bits=4,
+        )  # fmt: skip
+        self.collided = Signal()  # what was read a clock ago was written as well
+        self.heeded = Signal()  # what was read a clock ago matters
+
+    def _sums(self, m: Module, beat: data.View) -> tuple[data.View, WritePort]:
+        before, write = super()._sums(m, beat)
+        windows, reads = self._windows, beat.valid | beat.look
+        m.d.sync += self.collided.eq(reads & write.en & (write.addr == beat.place.group))
+        m.d.comb += self.heeded.eq(~windows.fresh | (windows.store & ~windows.store_fresh))
+        return before, write
+
+
+class SumCollisionHarness(FreeHarness):
+    """The smallest core with any frames, which may end early, and any settings and reader."""
+
+    def __init__(self) -> None:
+        self.core = WatchedCore()
         super().__init__(self.core)
 
     def state(self, m: Module) -> None:
-        """A picture that can be read does not change until it is given back."""
-        core = self.core
-        written = core.writing & (core.write_bank == core.read_bank)
-        m.d.comb += Assert(~(core.ready & written))
-        for value in (core.read_bank, core.picture, core.frames, core.photons):
-            before, kept = Signal.like(value), Signal()
-            m.d.sync += [before.eq(value), kept.eq(core.ready & ~core.done)]
-            with m.If(kept):
-                m.d.comb += [Assert(value == before), Assert(core.ready)]
+        """What is read while it is written is not needed, since the sums begin anew."""
+        core, beat = self.core, Signal(range(LEAST_GROUPS))
+        m.d.comb += [
+            Assume(~core.clear & (core.periods == 0) & (core.flags == 0)),
+            Assume(core.first_beat == (beat == 0)),
+            Assume(core.last_beat == (beat == LEAST_GROUPS - 1)),
+            Assume(~core.discard | (~core.valid & (beat != 0))),
+            Assume(~core.finish | (~core.valid & (beat == 0))),
+            Assert(~(core.collided & core.heeded)),
+        ]
+        with m.If(core.valid):
+            m.d.sync += beat.eq(Mux(core.last_beat, 0, beat + 1))
+        with m.If(core.discard):
+            m.d.sync += beat.eq(0)
 
 
 class WriterHarness(FreeHarness):
-    """A writer whose packets hold a pixel each, with any sums, pictures and stalls of the link."""
+    """A writer whose packets hold a pixel each, with any sums, blocks and stalls of the link."""
 
     def __init__(self) -> None:
         self.writer = PictureWriter(
@@ -69,13 +167,13 @@ class WriterHarness(FreeHarness):
             ReductionRoom(sums=1, entry_bits=1, sum_bits=1, group=4),
             packet_words=16,
         )
-        self.writer.part_pixels = 1
         super().__init__(self.writer)
 
     def state(self, m: Module) -> None:
         """No word finds the buffer full, and no two words come at once."""
-        settings = self.writer.settings
+        settings, block = self.writer.settings, self.writer.block
         m.d.comb += [
+            Assume(block.groups == 1),
             settings.sums.eq(1),
             settings.widths[0].eq(1),
             Assert(~self.writer.overflow),

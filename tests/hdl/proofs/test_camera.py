@@ -14,6 +14,7 @@ from hueflight_hdl.camera.formatter.admission import FrameAdmission
 from hueflight_hdl.camera.formatter.formatter import FrameFormatter
 from hueflight_hdl.camera.formatter.trailer import TrailerWriter
 from hueflight_hdl.camera.reduction import core as reduction
+from hueflight_hdl.camera.reduction import windows
 from hueflight_hdl.camera.reduction.picture_writer import PictureWriter
 from hueflight_hdl.common.counter import SaturatingCounter
 from hueflight_hdl.proofs import camera_capture, camera_formatter, camera_reduction, camera_time
@@ -164,18 +165,33 @@ def test_a_readout_without_a_verdict_is_found(prover, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_picture_that_is_shown_before_its_last_write_is_found(prover, monkeypatch):
-    monkeypatch.setattr(reduction, "LATENCY", 1)
-    proof = next(proof for proof in PROOFS if proof.name == "camera-sum-banks")
-    with pytest.raises(ProofError, match="No sum of a picture"):
-        prove(proof)
+def test_a_block_that_is_shown_before_all_is_known_of_it_is_found(prover, monkeypatch):
+    monkeypatch.setattr(windows, "SETTLE", 1)
+    broken(camera_reduction.WindowsHarness, depth=16)
+
+
+@pytest.mark.slow
+def test_a_block_that_counts_a_frame_twice_is_found(prover, monkeypatch):
+    class Twice(windows.BlockWindows):
+        def _tell(self, m, first_take, window, since, total):
+            super()._tell(m, first_take, window, since - 1, total)
+
+    monkeypatch.setattr(camera_reduction, "BlockWindows", Twice)
+    broken(camera_reduction.WindowsHarness, depth=16)
+
+
+@pytest.mark.slow
+def test_a_frame_that_is_too_small_is_found(prover, monkeypatch):
+    for module in (reduction, camera_reduction):
+        monkeypatch.setattr(module, "LEAST_GROUPS", 5)
+    broken(camera_reduction.SumCollisionHarness, depth=14)
 
 
 @pytest.mark.slow
 def test_a_sum_that_wraps_is_found(prover, monkeypatch):
     def wrap(self, platform):
         m = Module()
-        m.d.comb += self.after.eq(self.before + self.entry)
+        m.d.sync += self.after.eq(self.before + self.entry)
         return m
 
     monkeypatch.setattr(reduction.SaturatingSum, "elaborate", wrap)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reduction of codes to a few sums per pixel, in two banks: one gathers, the other is read out.
+"""Reduction of codes to a few sums per pixel, whose windows of frames end one block after another.
 
 `hueflight_protocol.reduction` defines the results bit for bit.
 """
@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from amaranth.hdl import Cat, Module, Mux, Signal, Value, ValueLike, signed, unsigned
+from amaranth.hdl import Module, Mux, Signal, Value, ValueLike, signed, unsigned
 from amaranth.lib import data, wiring
 from amaranth.lib.memory import Memory, WritePort
 from amaranth.lib.wiring import In, Out
 
 from hueflight_protocol.errors import HueflightError
 
-LATENCY = 5
-"""Clocks from a beat to the end of its write."""
+from .windows import FLAG_BITS, FRAME_BITS, BlockPlan, BlockWindows, block_layout
+
+LATENCY = 6
+"""Clocks from the reading of a group's sums to the end of their writing."""
 LEAST_GROUPS = LATENCY + 1
 """Groups of a frame, at least, so that no group is read while its sums are still on their way."""
-FRAME_BITS = 32
-"""Width of the number of frames of a picture."""
-PHOTON_BITS = 64
-"""Width of the number of codes that were added to a picture."""
+QUIET_CLOCKS = 12
+"""Clocks without a beat after which nothing is on its way."""
 OFFSET_BITS = 8
 
 
@@ -51,8 +51,18 @@ def groups_of(pixels: int, lanes: int, /) -> int:
     return pixels // lanes
 
 
+def _later(m: Module, value: Value | data.View, clocks: int) -> list:
+    """Return a value 1, 2, … clocks later."""
+    found = []
+    for _ in range(clocks):
+        later = Signal(value.shape(), reset_less=True)
+        m.d.sync += later.eq(value)
+        found.append(value := later)
+    return found
+
+
 class SaturatingSum(wiring.Component):
-    """Adds an entry to a sum, which stays at its greatest value.
+    """Adds an entry to a sum, which stays at its greatest value; the result is a clock late.
 
     Parameters
     ----------
@@ -66,11 +76,11 @@ class SaturatingSum(wiring.Component):
     limit : In
         Greatest value of the sum.
     after : Out
-        Their sum, at most `limit`.
+        Of the clock before: their sum, at most `limit`.
     """
 
     def __init__(self, width: int, entry_bits: int) -> None:
-        self.width = width
+        self._total_bits = max(width, entry_bits) + 1
         super().__init__(
             {
                 "before": In(width),
@@ -82,7 +92,8 @@ class SaturatingSum(wiring.Component):
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        total = self.before + self.entry
+        total = Signal(self._total_bits)
+        m.d.sync += total.eq(self.before + self.entry)
         m.d.comb += self.after.eq(Mux(total > self.limit, self.limit, total))
         return m
 
@@ -91,8 +102,8 @@ class ReductionCore(wiring.Component):
     """Adds table entries of every code to the sums of its pixel.
 
     Beats are groups of `lanes` codes in readout order, after mask and gate; the core never lets
-    them wait. After `frames_per_picture` frames the banks change places, if the earlier picture
-    was read out; otherwise the picture goes on, with the frames that it holds counted.
+    them wait. Each block of pixels has a window of frames of its own, see `BlockWindows`. The sums
+    of a window that is over are stored in a buffer, from which they are fetched.
 
     Parameters
     ----------
@@ -102,44 +113,44 @@ class ReductionCore(wiring.Component):
         Bits of each sum, at most.
     entry_bits : int
         Bits of a table entry.
+    block_groups : int
+        Groups of a block, but for the last one.
+    frame_bits : int
+        Width of the number of frames of a window.
 
     Members
     -------
     valid, codes, first_beat, last_beat : In
         A beat, and whether it is the first or the last of a frame.
+    flags, periods : In
+        What is said of its frame.
     first, last : In
         Range of codes that stand for a time; all others add nothing.
     limits : In
         Greatest value of each sum.
     frames_per_picture : In
-        Frames after which a picture is over; 0 as 1.
+        Frames of a window; 0 as 1.
     clear : In(1)
-        Begin anew: give up the picture that gathers and count pictures from 0.
+        Begin anew: give up all windows and count pictures from 0. No beat comes.
     discard : In(1)
-        Give up the picture that gathers, since a frame of it ended early. No beat comes.
-    finish : In(1)
-        End the picture between two frames if it holds any, once the earlier one was read out.
+        Give up all windows, since a frame of them ended early. No beat comes.
+    lost : In(1)
+        A frame came that is not added.
+    finish, drained : In(1), Out(1)
+        End all windows, while no frame comes, until nothing is left to be fetched.
     table_write, table_code, table_entries : In
         Write the entries of one code, those of the first sum in the lowest bits. Only while no
         frame comes.
     offset_write, offset_group, offsets : In
         Write the offsets of one group.
-    held : Out(1)
-        There is a picture that has not been read; the other one can't end.
-    ready : Out(1)
-        It can be read.
-    picture, frames, photons : Out
-        Its number, the frames that it holds and the codes that were added.
-    gathered : Out
-        Frames of the picture that gathers.
-    swapped : Out(1)
-        That picture ends in this clock.
+    ready : Out(1), done : In(1)
+        A block can be fetched; it was.
+    block : Out
+        What is said of it, see `block_layout`.
     read_group : In, sums : Out
-        A group of the picture, and its sums one clock later, lane after lane.
-    done : In(1)
-        The picture was read: its bank may be used again.
-    writing, write_bank, read_bank : Out
-        What the core does in this clock, for verification.
+        A group of the block, and its sums one clock later, lane after lane.
+    full : Out(1)
+        No frame must come, since those of a window could not be counted.
     """
 
     def __init__(
@@ -150,153 +161,176 @@ class ReductionCore(wiring.Component):
         code_bits: int,
         widths: Sequence[int],
         entry_bits: int,
+        block_groups: int,
+        frame_bits: int = FRAME_BITS,
     ) -> None:
         self.lanes, self.groups, self.code_bits = lanes, groups_of(pixels, lanes), code_bits
         self.widths, self.entry_bits = tuple(widths), entry_bits
+        self.plan = BlockPlan(self.groups, block_groups, frame_bits)
         self.pixel_layout = data.StructLayout(
             {f"sum{k}": width for k, width in enumerate(self.widths)}
         )
         self.sums_layout = data.ArrayLayout(self.pixel_layout, lanes)
         self.entries_layout = data.ArrayLayout(entry_bits, len(self.widths))
+        self._windows = BlockWindows(self.plan, lanes)
         super().__init__(
             {
                 "valid": In(1),
                 "codes": In(data.ArrayLayout(code_bits, lanes)),
                 "first_beat": In(1),
                 "last_beat": In(1),
+                "flags": In(FLAG_BITS),
+                "periods": In(32),
                 "first": In(code_bits),
                 "last": In(code_bits),
                 "limits": In(self.pixel_layout),
-                "frames_per_picture": In(FRAME_BITS),
+                "frames_per_picture": In(frame_bits),
                 "clear": In(1),
                 "discard": In(1),
+                "lost": In(1),
                 "finish": In(1),
+                "drained": Out(1),
                 "table_write": In(1),
                 "table_code": In(code_bits),
                 "table_entries": In(self.entries_layout),
                 "offset_write": In(1),
                 "offset_group": In(range(self.groups)),
                 "offsets": In(data.ArrayLayout(signed(OFFSET_BITS), lanes)),
-                "held": Out(1),
                 "ready": Out(1),
-                "picture": Out(32),
-                "frames": Out(FRAME_BITS),
-                "photons": Out(PHOTON_BITS),
-                "gathered": Out(FRAME_BITS),
-                "swapped": Out(1),
-                "read_group": In(range(self.groups)),
-                "sums": Out(self.sums_layout),
                 "done": In(1),
-                "writing": Out(1),
-                "write_bank": Out(1),
-                "read_bank": Out(1),
+                "block": Out(block_layout(self.plan, lanes)),
+                "read_group": In(range(self.plan.block_groups)),
+                "sums": Out(self.sums_layout),
+                "full": Out(1),
             }
         )
 
     def elaborate(self, platform: object) -> Module:
         m = Module()
-        group, bank, fresh = self._sequence(m)
-        place = Cat(group, bank)
+        m.submodules.windows = windows = self._windows
+        beat = self._sequence(m)
         span = Signal(self.code_bits + 1)  # codes that stand for a time
         m.d.sync += span.eq(self.last - self.first + 1)
 
-        # clock 1: offsets arrive
-        valid, code, at = Signal(), Signal(self.codes.shape()), Signal(len(place))
-        is_fresh = Signal()
-        offsets = self._offsets(m, group)
-        m.d.sync += [valid.eq(self.valid), code.eq(self.codes), at.eq(place), is_fresh.eq(fresh)]
-
-        # clock 2: places in the tables
-        valid2, at2, fresh2 = Signal(), Signal(len(place)), Signal()
-        m.d.sync += [valid2.eq(valid), at2.eq(at), fresh2.eq(is_fresh)]
+        # clock 1: offsets arrive; clocks 2 and 3: places in the tables
+        offsets = self._offsets(m, beat.place.group)
+        steps, codes = _later(m, beat, 4), _later(m, self.codes, 3)
+        offsets2 = _later(m, offsets, 1)[-1]
         indices, counted = [], Signal(self.lanes)
         for lane in range(self.lanes):
-            index = Signal(self.code_bits)
+            moved, index = Signal(signed(self.code_bits + 2)), Signal(self.code_bits)
+            code = codes[-1][lane]
             m.d.sync += [
-                index.eq(self._index(m, code[lane], offsets[lane], span)),
-                counted[lane].eq((code[lane] >= self.first) & (code[lane] <= self.last)),
+                moved.eq(codes[-2][lane] + offsets2[lane]),
+                index.eq(self._index(m, moved, span)),
+                counted[lane].eq(steps[-2].valid & (code >= self.first) & (code <= self.last)),
             ]
             indices.append(index)
 
-        # clock 3: entries and sums arrive
-        valid3, at3, fresh3, counted3 = Signal(), Signal(len(place)), Signal(), Signal(self.lanes)
-        m.d.sync += [valid3.eq(valid2), at3.eq(at2), fresh3.eq(fresh2), counted3.eq(counted)]
+        # clock 4: entries and sums are read; clock 5: what becomes of them
+        beat5, count5 = _later(m, steps[-1], 1)[-1], Signal.like(windows.count)
         entries = [self._entries(m, lane, index) for lane, index in enumerate(indices)]
-        before, write = self._banks(m, at2)
+        before, write = self._sums(m, steps[-1])
+        m.d.sync += count5.eq(sum(counted))
+        m.d.comb += [
+            windows.place.eq(steps[-1].place),
+            windows.valid.eq(beat5.valid),
+            windows.look.eq(beat5.look),
+            windows.frame_last.eq(beat5.last),
+            windows.discard.eq(beat5.discard),
+            windows.count.eq(count5),
+            windows.flags.eq(beat5.flags),
+            windows.periods.eq(beat5.periods),
+        ]
 
-        # clock 4: what is written
+        # clock 6: sums are stored, and begin anew
+        fresh6, store6, as_zero6 = (
+            _later(m, signal, 1)[-1]
+            for signal in (windows.fresh, windows.store, windows.store_fresh)
+        )
+        counted6, before6 = _later(m, counted, 2)[-1], _later(m, before, 1)[-1]
+        places = _later(m, beat5.place, 4)
+        self._buffer(m, store6, places[0].at, Mux(as_zero6, 0, before6))
+        before7 = _later(m, Mux(fresh6, 0, before6), 1)[-1]
+
+        # clocks 7 and 8: the sums after the beat; clock 9: they are written
         after = Signal(self.sums_layout)
         for lane in range(self.lanes):
+            entries6 = _later(m, entries[lane], 1)[-1]
+            entries7 = _later(m, Mux(counted6[lane], entries6, 0), 1)[-1]
             for k, width in enumerate(self.widths):
                 m.submodules[f"sum{k}_{lane}"] = adder = SaturatingSum(width, self.entry_bits)
                 m.d.comb += [
-                    adder.before.eq(Mux(fresh3, 0, before[lane][f"sum{k}"])),
-                    adder.entry.eq(Mux(counted3[lane], entries[lane][k], 0)),
+                    adder.before.eq(self.sums_layout(before7)[lane][f"sum{k}"]),
+                    adder.entry.eq(self.entries_layout(entries7)[k]),
                     adder.limit.eq(self.limits[f"sum{k}"]),
                 ]
                 m.d.sync += after[lane][f"sum{k}"].eq(adder.after)
-        m.d.sync += [write.en.eq(valid3), write.addr.eq(at3)]
         m.d.comb += [
+            write.en.eq(_later(m, beat5.valid, 4)[-1]),
+            write.addr.eq(places[-1].group),
             write.data.eq(after),
-            self.writing.eq(write.en),
-            self.write_bank.eq(write.addr[-1]),
         ]
-        starts = Signal()
-        m.d.comb += starts.eq(self.valid & fresh & (group == 0))
-        self._photons(m, starts, Mux(valid3, counted3, 0))
         return m
 
-    def _photons(self, m: Module, starts: Signal, counted: Value) -> None:
-        """Count the codes that are added, `counted` being three clocks behind the beats."""
-        started, over = Signal(3), Signal(3)
-        m.d.sync += [started.eq(Cat(starts, started)), over.eq(Cat(self.swapped, over))]
-        so_far, total = Signal(PHOTON_BITS), Signal(PHOTON_BITS)
-        m.d.comb += total.eq(Mux(started[-1], 0, so_far) + sum(counted))
-        m.d.sync += so_far.eq(total)
-        with m.If(over[-1]):
-            m.d.sync += self.photons.eq(total)
-
-    def _sequence(self, m: Module) -> tuple[Signal, Signal, Signal]:
-        """Group, bank and whether the sums begin anew, of the beat in this clock."""
-        following = Signal(range(self.groups))
-        group = Signal(range(self.groups))
-        bank, fresh = Signal(), Signal(init=1)
-        number, drain = Signal(32), Signal(LATENCY + 1)
-        count, frames, held = self.gathered, Signal(FRAME_BITS), self.held
-        due = Signal()  # the next frame is the picture's last; known long before that frame ends
-        ends = Signal()
+    def _sequence(self, m: Module) -> data.View:
+        """Return the beat in this clock, or a look at sums that are wanted while none comes."""
+        plan, windows = self.plan, self._windows
+        beat = Signal(
+            data.StructLayout(
+                {
+                    "valid": 1,
+                    "look": 1,
+                    "last": 1,
+                    "discard": 1,
+                    "flags": FLAG_BITS,
+                    "periods": 32,
+                    "place": plan.place_layout(),
+                }
+            )
+        )
         m.d.comb += [
-            group.eq(Mux(self.first_beat, 0, following)),
-            frames.eq(Mux(self.valid, count + 1, count)),
-            ends.eq(Mux(self.valid, self.last_beat & due, self.finish & (following == 0))),
-            self.swapped.eq(ends & (frames != 0) & ~held & ~self.discard & ~self.clear),
-            self.read_bank.eq(~bank),
+            beat.valid.eq(self.valid),
+            beat.last.eq(self.last_beat),
+            beat.discard.eq(self.discard),
+            beat.flags.eq(self.flags),
+            beat.periods.eq(self.periods),
         ]
-        m.d.sync += [drain.eq(drain << 1), due.eq(count + 1 >= self.frames_per_picture)]
-        with m.If(drain[-1]):
-            m.d.sync += self.ready.eq(1)
-        with m.If(self.done & self.ready):
-            m.d.sync += [self.ready.eq(0), held.eq(0)]
+        following, place = Signal(plan.place_layout()), Signal(plan.place_layout())
+        with m.If(~self.first_beat):
+            m.d.comb += place.eq(following)
+
+        quiet, in_frame = Signal(range(QUIET_CLOCKS + 1)), Signal()
+        m.d.sync += quiet.eq(Mux(quiet == QUIET_CLOCKS, quiet, quiet + 1))
         with m.If(self.valid):
-            m.d.sync += following.eq(Mux(group == self.groups - 1, 0, group + 1))
-            with m.If(self.last_beat):
-                m.d.sync += [count.eq(frames), fresh.eq(0)]
-        with m.If(self.swapped):
-            m.d.sync += [
-                bank.eq(~bank),
-                fresh.eq(1),
-                held.eq(1),
-                count.eq(0),
-                drain.eq(1),
-                self.frames.eq(frames),
-                self.picture.eq(number),
-                number.eq(number + 1),
-            ]
+            m.d.sync += in_frame.eq(~self.last_beat)
         with m.If(self.discard | self.clear):
-            m.d.sync += [fresh.eq(1), count.eq(0), following.eq(0)]
-        with m.If(self.clear):
-            m.d.sync += number.eq(0)
-        return group, bank, fresh
+            m.d.sync += in_frame.eq(0)
+        with m.If(self.valid | in_frame | self.discard | self.clear):
+            m.d.sync += quiet.eq(0)
+
+        looked, wanted = Signal.like(windows.taken), windows.wanted_place
+        with m.If(windows.wanted & (quiet == QUIET_CLOCKS) & ~self.valid):
+            m.d.comb += [
+                beat.look.eq(looked != plan.groups_of(wanted.block)),
+                place.group.eq(wanted.group + looked),
+                place.block.eq(wanted.block),
+                place.at.eq(looked),
+            ]
+            m.d.sync += looked.eq(looked + beat.look)
+        with m.Else():
+            m.d.sync += looked.eq(windows.taken)
+
+        last = Signal()  # of its block
+        m.d.comb += [beat.place.eq(place), last.eq(place.at == plan.groups_of(place.block) - 1)]
+        m.d.comb += beat.place.last.eq(last)
+        with m.If(self.valid):
+            m.d.sync += [
+                following.group.eq(place.group + 1),
+                following.at.eq(Mux(last, 0, place.at + 1)),
+                following.block.eq(place.block + last),
+            ]
+        return beat
 
     def _offsets(self, m: Module, group: Signal) -> data.View:
         layout = self.offsets.shape()
@@ -310,11 +344,9 @@ class ReductionCore(wiring.Component):
         ]
         return read.data
 
-    def _index(self, m: Module, code: ValueLike, offset: ValueLike, count: Signal) -> Signal:
+    def _index(self, m: Module, moved: Signal, count: Signal) -> Signal:
         """Place in the tables, which continue at the other end of the range of times."""
-        moved = Signal(signed(self.code_bits + 2))
         result = Signal(unsigned(self.code_bits))
-        m.d.comb += moved.eq(code + offset)
         with m.If(moved > self.last):
             m.d.comb += result.eq(moved - count)
         with m.Elif(moved < self.first):
@@ -335,14 +367,33 @@ class ReductionCore(wiring.Component):
         ]
         return read.data
 
-    def _banks(self, m: Module, at: Signal) -> tuple[data.View, WritePort]:
-        """Sums of a place one clock later, and the port through which they are written."""
-        depth = 1 << len(at)
-        m.submodules.sums_memory = memory = Memory(shape=self.sums_layout, depth=depth, init=[])
-        write, read, out = memory.write_port(), memory.read_port(), memory.read_port()
-        m.d.comb += [
-            read.addr.eq(at),
-            out.addr.eq(Cat(self.read_group, self.read_bank)),
-            self.sums.eq(out.data),
-        ]
+    def _sums(self, m: Module, beat: data.View) -> tuple[data.View, WritePort]:
+        """Return the sums before a beat, a clock later, and the port that writes those after it."""
+        memory = Memory(shape=self.sums_layout, depth=self.groups, init=[])
+        m.submodules.sums_memory = memory
+        write, read = memory.write_port(), memory.read_port()
+        m.d.comb += read.addr.eq(beat.place.group)
         return read.data, write
+
+    def _buffer(self, m: Module, store: Value, at: Value, sums: Value) -> None:
+        """Hold the sums of a block, and say what is known of it."""
+        windows, plan = self._windows, self.plan
+        m.submodules.buffer = memory = Memory(
+            shape=self.sums_layout, depth=plan.block_groups, init=[],
+            attrs={"ram_style": "distributed"},
+        )  # fmt: skip
+        write, read = memory.write_port(), memory.read_port()
+        m.d.sync += [write.en.eq(store), write.addr.eq(at), write.data.eq(sums)]
+        m.d.comb += [
+            read.addr.eq(self.read_group),
+            self.sums.eq(read.data),
+            windows.frames_per_picture.eq(self.frames_per_picture),
+            windows.clear.eq(self.clear),
+            windows.finish.eq(self.finish),
+            windows.lost.eq(self.lost),
+            windows.done.eq(self.done),
+            self.drained.eq(windows.drained),
+            self.ready.eq(windows.ready),
+            self.full.eq(windows.full),
+            self.block.eq(windows.block),
+        ]

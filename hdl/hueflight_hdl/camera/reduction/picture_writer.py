@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of sums from a finished picture of the reduction core.
+"""Packets of sums, each from a block of pixels whose window of frames is over.
 
-A packet's header states how long it is and how many of its pixels are saturated. So each part of
-a picture is read twice: once to count, once to send. A packet is handed on as a whole, at a word
-per clock, so that frames never wait for sums that are still being packed.
+A packet's header states how long it is and how many of its pixels are saturated. So each block is
+read twice: once to count, once to send. A packet is handed on as a whole, at a word per clock, so
+that frames never wait for sums that are still being packed.
 """
 
 from __future__ import annotations
@@ -20,19 +20,7 @@ from ..formatter.piece_reader import MESSAGE_LAYOUT
 from ..frame_format import FrameFormat
 from ..messages import record_words
 from .settings import WIDTH_BITS, settings_layout
-
-ABOUT_PICTURE_LAYOUT = data.StructLayout(
-    {
-        "picture": 32,
-        "frames": 32,
-        "missed": 32,
-        "photons": 64,
-        "flags": 16,
-        "periods": 32,
-        "capture": 32,
-    }
-)
-"""What the packets of a picture say of it."""
+from .windows import BlockPlan, block_layout
 
 WORD_BITS = 64
 PACK_CLOCKS = 2
@@ -45,11 +33,13 @@ HEAD_WORDS = PACKET_HEADER.size // 8 + SUMS_BODY.size // 8
 """Words of a packet before the widths of its sums."""
 
 
-def pixels_of_packet(room: ReductionRoom, packet_words: int, /) -> int:
-    """Return how many pixels a packet holds.
+def plan_blocks(form: FrameFormat, room: ReductionRoom, packet_words: int, /) -> BlockPlan:
+    """Divide the pixels of a frame into blocks, each as large as a packet can hold.
 
     Parameters
     ----------
+    form : FrameFormat
+        Geometry and lanes.
     room : ReductionRoom
         Sums per pixel and their bits.
     packet_words : int
@@ -57,22 +47,22 @@ def pixels_of_packet(room: ReductionRoom, packet_words: int, /) -> int:
 
     Returns
     -------
-    int
-        Number of pixels, whatever part of the room is in use.
+    BlockPlan
+        The blocks, whatever part of the room is in use.
 
     Raises
     ------
     HueflightError
-        If a packet has no room for a pixel, or the number of words is no power of two.
+        If a packet has no room for a group of pixels, or the number of words is no power of two.
     """
     spare = packet_words - HEAD_WORDS - -(-room.sums // 8) - 1
-    pixels = spare * WORD_BITS // (room.sums * room.sum_bits)
-    if pixels < 1 or packet_words & (packet_words - 1):
+    groups = spare * WORD_BITS // sum(room.widths) // form.lanes
+    if groups < 1 or packet_words & (packet_words - 1):
         raise HueflightError(
-            f"packet_words = {packet_words}: must be a power of two with room for a pixel of "
-            f"{room.sums} sums of {room.sum_bits} bits"
+            f"packet_words = {packet_words}: must be a power of two with room for {form.lanes} "
+            f"pixels of {room.sums} sums of {room.sum_bits} bits"
         )
-    return pixels
+    return BlockPlan(-(-form.pixels // form.lanes), groups)
 
 
 class SumPacker(wiring.Component):
@@ -128,7 +118,7 @@ class SumPacker(wiring.Component):
 
 
 class PictureWriter(wiring.Component):
-    """Turns a picture into packets, bit for bit as `hueflight_protocol.encode_sums`.
+    """Turns blocks into packets, bit for bit as `hueflight_protocol.encode_sums`.
 
     Parameters
     ----------
@@ -142,19 +132,21 @@ class PictureWriter(wiring.Component):
     Members
     -------
     ready : In(1)
-        There is a picture to be read.
+        There is a block to be read.
     done : Out(1)
         It has been read.
-    about : In
-        See `ABOUT_PICTURE_LAYOUT`; held while `ready`.
+    block : In
+        See `block_layout`; held while `ready`.
     settings, limits : In
         See `ReductionSettings`; held while `ready`.
+    capture : In(32)
+        Label of the capture.
     now : In(64)
         Device clock.
     group, sums : Out, In
-        A group of the picture, and its sums a clock later.
+        A group of the block, and its sums a clock later.
     idle : Out(1)
-        No picture is being read and no packet waits.
+        No block is being read and no packet waits.
     o : Out(stream)
         See `MESSAGE_LAYOUT`.
     overflow : Out(1)
@@ -164,17 +156,18 @@ class PictureWriter(wiring.Component):
     def __init__(self, form: FrameFormat, room: ReductionRoom, *, packet_words: int) -> None:
         self.form, self.room, self.packet_words = form, room, packet_words
         self.width_words = -(-room.sums // 8)
-        self.part_pixels = min(pixels_of_packet(room, packet_words), form.pixels)
-        sums = data.StructLayout({f"sum{k}": room.sum_bits for k in range(room.sums)})
+        self.plan = plan_blocks(form, room, packet_words)
+        sums = data.StructLayout({f"sum{k}": width for k, width in enumerate(room.widths)})
         super().__init__(
             {
                 "ready": In(1),
                 "done": Out(1),
-                "about": In(ABOUT_PICTURE_LAYOUT),
+                "block": In(block_layout(self.plan, form.lanes)),
                 "settings": In(settings_layout(room)),
                 "limits": In(data.ArrayLayout(room.sum_bits, room.sums)),
+                "capture": In(32),
                 "now": In(64),
-                "group": Out(range(-(-form.pixels // form.lanes))),
+                "group": Out(range(self.plan.block_groups)),
                 "sums": In(data.ArrayLayout(sums, form.lanes)),
                 "idle": Out(1),
                 "o": Out(stream.Signature(MESSAGE_LAYOUT)),
@@ -189,14 +182,15 @@ class PictureWriter(wiring.Component):
         room, empty = self._buffer(m, packer, made, making)
         count = self.settings.sums
 
-        first, pixel = Signal(range(self.form.pixels)), Signal(range(self.form.pixels))
         lane, group = Signal(range(self.form.lanes)), Signal.like(self.group)
-        pixels = Signal(range(self.part_pixels + 1))  # read of this part
-        part_ends, picture_ends = Signal(), Signal()
-        saturated, bits = Signal.like(pixels), Signal(range(self.packet_words * WORD_BITS))
-        sending = Signal()  # the part is read for the second time
+        pixel = self.sums[lane]
+        last_lane, ends = Signal(), Signal()
+        most = self.plan.block_groups * self.form.lanes
+        saturated, bits = Signal(range(most + 1)), Signal(range(self.packet_words * WORD_BITS))
+        sending = Signal()  # the block is read for the second time
         left = Signal(self.room.sums * self.room.sum_bits, reset_less=True)
         number, some = Signal(range(self.room.sums)), Signal()
+        wide = Signal.like(left)  # all sums of a pixel, as wide as the widest
         value = left[: self.room.sum_bits]
         width, limit = Signal(WIDTH_BITS), Signal(self.room.sum_bits)
         last, reaches = Signal(), Signal()
@@ -204,38 +198,34 @@ class PictureWriter(wiring.Component):
             self.group.eq(group),
             width.eq(self.settings.widths[number]),
             limit.eq(self.limits[number]),
+            wide.eq(
+                Cat(
+                    Cat(pixel[f"sum{k}"], Const(0, self.room.sum_bits - width_bits))
+                    for k, width_bits in enumerate(self.room.widths)
+                )
+            ),
             last.eq(number + 1 == count),
             reaches.eq(some | (value == limit)),
-            picture_ends.eq(pixel == self.form.pixels - 1),
-            part_ends.eq(picture_ends | (pixels == self.part_pixels - 1)),
+            last_lane.eq(lane == self.form.lanes - 1),
+            ends.eq(last_lane & (group == self.block.groups - 1)),
         ]
         word = Signal(range(HEAD_WORDS + self.width_words + PACK_CLOCKS))
-        body = SUMS_BODY.size + (((count + 7) >> 3) << 3) + ((bits + 7) >> 3)
-        header = self._header(first, pixels, saturated, body)
+        body = Signal(range(self.packet_words * WORD_BITS // 8))
+        m.d.sync += body.eq(SUMS_BODY.size + (((count + 7) >> 3) << 3) + ((bits + 7) >> 3))
+        header = self._header(saturated, body)
 
-        # where the part begins, for its second reading
-        first_lane, first_group = Signal.like(lane), Signal.like(group)
         with m.FSM() as fsm:
             with m.State("IDLE"):
-                m.d.sync += [first.eq(0), first_lane.eq(0), first_group.eq(0)]
-                with m.If(self.ready):
-                    m.next = "PART"
-            with m.State("PART"):
                 m.d.sync += [saturated.eq(0), bits.eq(0), sending.eq(0)]
-                with m.If(room):
+                with m.If(self.ready & room):
                     m.next = "REWIND"
             with m.State("REWIND"):
-                m.d.sync += [
-                    pixel.eq(first),
-                    lane.eq(first_lane),
-                    group.eq(first_group),
-                    pixels.eq(0),
-                ]
+                m.d.sync += [lane.eq(0), group.eq(0)]
                 m.next = "ASK"
             with m.State("ASK"):
                 m.next = "PIXEL"
             with m.State("PIXEL"):
-                m.d.sync += [left.eq(self.sums[lane]), number.eq(0), some.eq(0)]
+                m.d.sync += [left.eq(wide), number.eq(0), some.eq(0)]
                 m.next = "SUM"
             with m.State("SUM"):
                 m.d.comb += packer.valid.eq(sending)
@@ -247,21 +237,19 @@ class PictureWriter(wiring.Component):
                 with m.If(~sending):
                     m.d.sync += bits.eq(bits + width)
                 with m.If(last):
-                    m.d.sync += [
-                        pixel.eq(pixel + 1),
-                        lane.eq(lane + 1),
-                        pixels.eq(pixels + 1),
-                    ]
-                    with m.If(lane == self.form.lanes - 1):
+                    m.d.sync += lane.eq(lane + 1)
+                    with m.If(last_lane):
                         m.d.sync += [lane.eq(0), group.eq(group + 1)]
                     with m.If(~sending):
                         m.d.sync += saturated.eq(saturated + reaches)
                     m.next = "ASK"
-                    with m.If(part_ends):
+                    with m.If(ends):
                         m.d.sync += word.eq(0)
-                        m.next = "HEADER"
+                        m.next = "LENGTH"
                         with m.If(sending):
                             m.next = "FLUSH"
+            with m.State("LENGTH"):
+                m.next = "HEADER"
             with m.State("HEADER"):
                 m.d.comb += [
                     making.eq(word < HEAD_WORDS + ((count + 7) >> 3)),
@@ -278,14 +266,10 @@ class PictureWriter(wiring.Component):
                 with m.If(word == PACK_CLOCKS):
                     m.next = "TRAILER"
             with m.State("TRAILER"):
-                m.d.comb += [making.eq(1), made.last.eq(1)]
-                m.d.sync += [first.eq(pixel), first_lane.eq(lane), first_group.eq(group)]
-                m.next = "PART"
-                with m.If(first + pixels == self.form.pixels):
-                    m.next = "DONE"
-            with m.State("DONE"):
-                m.d.comb += self.done.eq(1)
-                m.next = "IDLE"
+                m.d.comb += [making.eq(1), made.last.eq(1), self.done.eq(1)]
+                m.next = "LEAVE"
+            with m.State("LEAVE"):
+                m.next = "IDLE"  # where `ready` and the buffer's level tell of what comes next
         m.d.comb += [
             packer.value.eq(value),
             packer.width.eq(width),
@@ -293,28 +277,33 @@ class PictureWriter(wiring.Component):
         ]
         return m
 
-    def _header(self, first: Value, pixels: Value, saturated: Value, body: Value) -> Array:
+    def _header(self, saturated: Value, body: Value) -> Array:
         """Return the words before the sums."""
-        about, settings, form = self.about, self.settings, self.form
+        block, settings, form = self.block, self.settings, self.form
         packet = {
             "type": Const(PacketType.SUMS.value),
             "length": body,
             "sequence": Const(0),
             "timestamp": self.now,
-            "capture": about.capture,
+            "capture": self.capture,
             "check": Const(0),
         }
-        said = {name: about[name] for name in ABOUT_PICTURE_LAYOUT.members if name != "capture"}
-        sums = said | {
-            "first_pixel": first,
-            "pixels": pixels,
+        sums = {
+            "picture": block.picture,
+            "first_pixel": block.first_group * form.lanes,
+            "pixels": block.groups * form.lanes,
             "rows": Const(form.rows),
             "cols": Const(form.cols),
+            "frames": block.window.frames,
+            "missed": block.missed,
+            "photons": block.window.photons,
             "saturated": saturated,
             "tables": settings.tables,
             "offsets": settings.moved,
+            "periods": block.periods,
             "code_bits": Const(form.code_bits),
             "sums": settings.sums,
+            "flags": block.window.flags,
             "reserved": Const(0),
         }
         widths = Cat(

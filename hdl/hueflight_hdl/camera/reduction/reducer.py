@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from amaranth.hdl import Module, Mux, Signal
+from amaranth.hdl import Module, Signal
 from amaranth.lib import data, stream, wiring
 from amaranth.lib.wiring import In, Out, connect, flipped
 from amaranth.utils import ceil_log2
@@ -16,7 +16,7 @@ from ..frame_format import FormatError, FrameFormat
 from ..sensor.port import sensor_beat_layout
 from .core import OFFSET_BITS, ReductionCore, groups_of
 from .front import ABOUT_FRAME_LAYOUT, ReductionFront
-from .picture_writer import ABOUT_PICTURE_LAYOUT, PictureWriter, pixels_of_packet
+from .picture_writer import PictureWriter, plan_blocks
 from .settings import ReductionSettings, settings_layout
 
 PACKET_WORDS = 256
@@ -25,7 +25,6 @@ LEAST_GROUP = 4
 """Pixels whose offsets fill a register."""
 SETTLE_CLOCKS = 16
 """Clocks after which all of a capture's frames have been added."""
-MISSED_BITS = 32
 
 
 def offset_group(lanes: int, /) -> int:
@@ -62,7 +61,7 @@ def check_room(form: FrameFormat, room: ReductionRoom, /, *, packet_words: int) 
         If the offsets of another number of pixels are stored together than `offset_group` says, or
         a group of pixels is cut by the end of a frame.
     HueflightError
-        If a packet has no room for a pixel, or the frame is too small.
+        If a packet has no room for a group of pixels, or the frame is too small.
     """
     group = offset_group(form.lanes)
     if room.group != group:
@@ -70,14 +69,14 @@ def check_room(form: FrameFormat, room: ReductionRoom, /, *, packet_words: int) 
     if form.pixels % group:
         raise FormatError(f"{form.pixels} pixels: must be a multiple of {group} for a reduction")
     groups_of(form.pixels, form.lanes)
-    pixels_of_packet(room, packet_words)
+    plan_blocks(form, room, packet_words)
 
 
 class Reducer(wiring.Component):
     """Adds up the frames of a sensor and sends pictures, as the settings say.
 
-    A frame that ends early spoils the picture that it belongs to: all its frames count as missed.
-    When a capture ends, what has been gathered is sent.
+    A frame that ends early spoils the windows that it belongs to: all their frames count as missed.
+    When a capture ends, what has been gathered is sent, and so is the rest of the last picture.
 
     Parameters
     ----------
@@ -132,8 +131,9 @@ class Reducer(wiring.Component):
             pixels=form.pixels,
             lanes=form.lanes,
             code_bits=form.code_bits,
-            widths=(room.sum_bits,) * room.sums,
+            widths=room.widths,
             entry_bits=room.entry_bits,
+            block_groups=plan_blocks(form, room, packet_words).block_groups,
         )
         self._writer = PictureWriter(form, room, packet_words=packet_words)
         super().__init__(
@@ -190,14 +190,14 @@ class Reducer(wiring.Component):
             m.d.comb += core.limits[f"sum{k}"].eq(settings.limits[k])
         self._frames(m)
         self._memories(m)
-        about = self._about(m)
         finished = self._finish(m)
         m.d.comb += [
             writer.ready.eq(core.ready),
             core.done.eq(writer.done),
             core.read_group.eq(writer.group),
             writer.sums.eq(core.sums),
-            writer.about.eq(about),
+            writer.block.eq(core.block),
+            writer.capture.eq(self.capture),
             writer.settings.eq(settings.held),
             writer.limits.eq(settings.limits),
             writer.now.eq(self.now),
@@ -214,7 +214,7 @@ class Reducer(wiring.Component):
             front.give_up.eq(self.give_up),
             front.sensor.valid.eq(self.sensor.valid),
             front.sensor.payload.eq(self.sensor.payload),
-            front.admit.eq(~core.gathered.all()),
+            front.admit.eq(~core.full),
             front.filters.eq(self.filters),
             self.mask_address.eq(front.mask_address),
             front.mask_data.eq(self.mask_data),
@@ -224,6 +224,9 @@ class Reducer(wiring.Component):
             core.first_beat.eq(front.first_beat),
             core.last_beat.eq(front.last_beat),
             core.discard.eq(front.discard),
+            core.lost.eq(front.dropped),
+            core.flags.eq(front.about_beat.flags),
+            core.periods.eq(front.about_beat.periods),
             self.added.eq(front.valid & front.last_beat),
         ]
         for name in ("busy", "begins", "over", "dropped", "aborted", "fault"):
@@ -248,50 +251,13 @@ class Reducer(wiring.Component):
         with m.If(self.move & (self.move_group < core.groups // parts)):
             m.d.sync += [left.eq(parts), place.eq(0), first.eq(self.move_group * parts)]
 
-    def _about(self, m: Module) -> data.View:
-        """Return what is said of the picture that can be read."""
-        front, core = self._front, self._core
-        gathering, frame = Signal(ABOUT_FRAME_LAYOUT), Signal(ABOUT_FRAME_LAYOUT)
-        m.d.comb += frame.eq(gathering)
-        with m.If(front.valid & front.last_beat):
-            before = Mux(core.gathered == 0, 0, gathering.flags)
-            m.d.comb += [
-                frame.flags.eq(before | front.about_beat.flags),
-                frame.periods.eq(front.about_beat.periods),
-            ]
-        missed, now_missed = Signal(MISSED_BITS), Signal(MISSED_BITS + 2)
-        m.d.comb += now_missed.eq(missed + front.dropped + Mux(front.discard, core.gathered + 1, 0))
-        about = Signal(ABOUT_PICTURE_LAYOUT)
-        m.d.sync += [
-            gathering.eq(frame),
-            missed.eq(Mux(now_missed >> MISSED_BITS == 0, now_missed, -1)),
-        ]
-        with m.If(core.swapped):
-            m.d.sync += [
-                about.flags.eq(frame.flags),
-                about.periods.eq(frame.periods),
-                about.missed.eq(missed),
-                missed.eq(front.dropped),
-            ]
-        with m.If(self.began):
-            m.d.sync += missed.eq(0)
-        said = Signal(ABOUT_PICTURE_LAYOUT)
-        m.d.comb += [
-            said.eq(about),
-            said.picture.eq(core.picture),
-            said.frames.eq(core.frames),
-            said.photons.eq(core.photons),
-            said.capture.eq(self.capture),
-        ]
-        return said
-
     def _finish(self, m: Module) -> Signal:
         """Send what has been gathered when a capture ends; return whether that is done."""
         finished, left = Signal(init=1), Signal(range(SETTLE_CLOCKS + 1))
         m.d.comb += self._core.finish.eq(~finished & (left == 0))
         with m.If(left != 0):
             m.d.sync += left.eq(left - 1)
-        with m.Elif((self._core.gathered == 0) & ~self._core.held):
+        with m.Elif(self._core.drained):
             m.d.sync += finished.eq(1)
         with m.If(self.ended):
             m.d.sync += [finished.eq(0), left.eq(SETTLE_CLOCKS)]

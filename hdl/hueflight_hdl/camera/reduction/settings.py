@@ -86,7 +86,7 @@ class ReductionSettings(wiring.Component):
         asked, room = self.asked, self.room
         used = [asked.sums > k for k in range(room.sums)]
         fit = Cat(
-            Mux(used[k], (asked.widths[k] != 0) & (asked.widths[k] <= room.sum_bits), 1)
+            Mux(used[k], (asked.widths[k] != 0) & (asked.widths[k] <= room.widths[k]), 1)
             for k in range(room.sums)
         )
         fits = Signal()  # a clock after the registers, which is long before a capture can begin
@@ -105,7 +105,7 @@ class ReductionSettings(wiring.Component):
                 self.codes.eq(~fits | (asked.mode == ReductionMode.BOTH)),
             ]
         for k in range(room.sums):
-            m.d.comb += self.limits[k].eq(_ones(self.held.widths[k], room.sum_bits))
+            m.d.sync += self.limits[k].eq(_ones(self.held.widths[k], room.sum_bits))
         return m
 
 

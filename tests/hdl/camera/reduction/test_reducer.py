@@ -14,7 +14,7 @@ from amaranth.sim import Simulator
 from hueflight_hdl.camera.formatter.reference import frame_beats
 from hueflight_hdl.camera.formatter.trailer import TrailerWriter
 from hueflight_hdl.camera.frame_format import FrameFormat
-from hueflight_hdl.camera.reduction.picture_writer import pixels_of_packet
+from hueflight_hdl.camera.reduction.picture_writer import plan_blocks
 from hueflight_hdl.camera.reduction.reducer import Reducer, check_room, offset_group
 from hueflight_hdl.link.packet_word import WORD_LAYOUT
 from hueflight_hdl.testbench.camera import frame_marks
@@ -184,30 +184,42 @@ def draw(seed: int, *, lanes: int, rows: int, cols: int, frames: int = 12, **opt
     )  # fmt: skip
 
 
-def check(trial: Trial, *, left_out: tuple[int, ...] = ()) -> list:
+def check(trial: Trial) -> list:
     """Compare all that packets say with the definition; return the pictures."""
     data = run(trial)
     parts = packets_of(data)
     assert b"".join(encode_sums(part) for part in parts) == data
-    added = [number for number in range(len(trial.frames)) if number not in left_out]
-    pictures = list(pictures_of(parts))
-    for number, picture in enumerate(pictures):
-        first, tables = picture.first, trial.tables
-        here, added = added[: first.frames], added[first.frames :]
-        codes = trial.frames[here]
-        assert picture.complete
-        expected = reduce_codes(codes, tables, offsets=trial.offsets, mask=trial.mask)
-        np.testing.assert_array_equal(picture.values.reshape(expected.shape), expected)
+    tables = trial.tables
+    numbers = {part.first_pixel: 0 for part in parts}  # the next picture of each block
+    starts = dict.fromkeys(numbers, 0)  # and the first frame of its window
+    for part in parts:
+        here = slice(part.first_pixel, part.first_pixel + len(part.values))
+        assert part.picture == numbers[part.first_pixel]
+        numbers[part.first_pixel] += 1
+        start = starts[part.first_pixel]
+        stop = starts[part.first_pixel] = start + part.frames + part.missed
+        assert stop <= len(trial.frames)
+        early = [n for n in range(start, stop) if trial.cut.get(n)]  # that ended early
+        added = [n for n in range(early[-1] + 1 if early else start, stop) if n not in trial.cut]
+        assert part.frames == len(added)
+        codes = trial.frames[added][:, here]
+        mask = None if trial.mask is None else trial.mask[here]
+        expected = reduce_codes(codes, tables, offsets=trial.offsets[here], mask=mask)
+        np.testing.assert_array_equal(part.values, expected)
         timed = (codes >= tables.first) & (codes <= tables.last)
-        if trial.mask is not None:
-            timed &= trial.mask == 0
-        flags = FrameFlags.TRIGGER_LOST if any(n % 7 == 3 for n in here) else FrameFlags.NONE
-        if trial.mask is not None:
+        if mask is not None:
+            timed &= mask == 0
+        flags = FrameFlags.TRIGGER_LOST if any(n % 7 == 3 for n in added) else FrameFlags.NONE
+        if mask is not None and added:
             flags |= FrameFlags.MASKED
-        assert (first.picture, first.photons, first.flags) == (number, timed.sum(), flags)
-        assert (first.tables, first.offsets) == (tables.hash, offsets_hash(trial.offsets))
-        assert (first.periods, first.header.capture) == (100 + here[-1], 0xCAFE)
-    assert not added, "frames are in no picture"
+        assert (part.photons, part.flags) == (timed.sum(), flags)
+        assert (part.tables, part.offsets) == (tables.hash, offsets_hash(trial.offsets))
+        assert part.header.capture == 0xCAFE
+        if added:
+            assert part.periods == 100 + added[-1]
+    pictures = list(pictures_of(parts))
+    assert all(picture.complete for picture in pictures)
+    assert set(starts.values()) == {len(trial.frames)}, "frames are in no picture"
     return pictures
 
 
@@ -223,7 +235,7 @@ def check(trial: Trial, *, left_out: tuple[int, ...] = ()) -> list:
 def test_packets_are_those_of_the_definition(seed, lanes, shape, options):
     pictures = check(draw(seed, lanes=lanes, rows=shape[0], cols=shape[1], **options))
     assert len(pictures) >= 2
-    assert not any(picture.first.missed for picture in pictures)
+    assert not any(picture.missed.any() for picture in pictures)
 
 
 @pytest.mark.slow
@@ -233,19 +245,28 @@ def test_masked_pixels_add_nothing_and_packets_say_so():
 
 
 @pytest.mark.slow
-def test_a_frame_that_ends_early_takes_its_picture_with_it():
-    # frames of a picture wait for the third; the fifth ends early, the seventh never begins
+def test_a_frame_that_ends_early_takes_its_windows_with_it():
+    # one packet a picture, which ends with each third frame; the fifth frame ends early, the
+    # seventh never begins
     trial = replace(draw(6, lanes=4, rows=4, cols=6, frames=11, gap=700), cut={4: 3, 6: 0})
-    pictures = check(trial, left_out=(3, 4, 6))
-    assert [picture.first.frames for picture in pictures] == [3, 3, 2]
-    assert [picture.first.missed for picture in pictures] == [0, 3, 0]
+    assert plan_of(trial).blocks == 1
+    pictures = check(trial)
+    assert [int(picture.frames.max()) for picture in pictures] == [3, 2, 3]
+    assert [int(picture.missed.max()) for picture in pictures] == [0, 3, 0]
+
+
+def plan_of(trial: Trial):
+    room = ReductionRoom(trial.sums, 1, max(trial.tables.widths), offset_group(trial.form.lanes))
+    return plan_blocks(trial.form, room, trial.packet_words)
 
 
 @pytest.mark.slow
-def test_pictures_of_many_packets():
-    trial = replace(draw(7, lanes=2, rows=10, cols=12, frames=4), packet_words=16)
-    room = ReductionRoom(trial.sums, 1, max(trial.tables.widths), 4)
-    assert pixels_of_packet(room, 16) < 60
+@pytest.mark.parametrize("cut", [{}, {5: 3, 11: 1, 12: 40, 30: 58, 31: 59}])
+@pytest.mark.parametrize(("gap", "stall"), [(3, 0.0), (400, 0.6)])
+def test_pictures_of_many_packets(cut, gap, stall):
+    trial = draw(7, lanes=2, rows=10, cols=12, frames=40, gap=gap, stall=stall)
+    trial = replace(trial, packet_words=16, cut=cut, per_picture=8)
+    assert plan_of(trial).blocks > 2
     check(trial)
 
 
@@ -254,7 +275,7 @@ def test_pictures_of_many_packets():
     [
         ((5, 5), 4, 32, "25 pixels"),
         ((8, 8), 8, 32, "group = 8: must be 4"),
-        ((4, 4), 4, 32, "at least 6"),
+        ((4, 4), 4, 32, "at least 7"),
         ((8, 8), 4, 16, "packet_words = 16"),
         ((8, 8), 4, 48, "packet_words = 48"),
     ],

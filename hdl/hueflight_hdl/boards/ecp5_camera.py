@@ -39,8 +39,13 @@ _VCO_HZ = 600e6
 LANES = 8
 FAST_ROUTES = {
     # A bank is never read while it is written, which is formally verified (see
-    # `camera.formatter.chunk_buffer`), so yosys need not emulate the result of such a collision.
-    "script_after_read": "setparam -set COLLISION_X_MASK 1'1 *.store/t:$memrd_v2",
+    # `camera.formatter.chunk_buffer`); so is that sums which are read while they are written begin
+    # anew. Tables and offsets are not written while frames come. So yosys need not emulate the
+    # result of such collisions.
+    "script_after_read": (
+        "setparam -set COLLISION_X_MASK 1'1 *.store/t:$memrd_v2 *.sums_memory/t:$memrd_v2 "
+        "*.table*/t:$memrd_v2 *.offset_memory/t:$memrd_v2"
+    ),
     # no resets made of choices: those are the slowest wires
     "synth_opts": "-run begin:map_ffs",
     "script_after_synth": "dffunmap -srst-only; synth_ecp5 -run map_ffs: -top top",

@@ -14,10 +14,14 @@ from hueflight_protocol.illuminator_map import (
     MAX_PULSES,
     MAX_STEPS,
 )
+from hueflight_protocol.reduction import MOST_ENTRY_BITS, MOST_SUM_BITS, MOST_SUMS
+from hueflight_protocol.reduction_registers import ReductionRoom
 from hueflight_protocol.wire import MAX_CODE_BITS, MAX_COLS, MAX_ROWS, MAX_RUN
 
 from ..camera.camera import CameraConfig
 from ..camera.formatter.formatter import MIN_BUFFER_WORDS
+from ..camera.frame_format import FrameFormat
+from ..camera.reduction.reducer import offset_group
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import Limits
 from ..link.uart import bit_increment
@@ -29,6 +33,8 @@ _LIMITS = ("max_on_ticks", "duty_divisor", "burst_ticks")
 _FORM = ("rows", "cols", "code_bits", "lanes", "run", "geometry", "banks")
 _CAMERA = ("buffer_words", "admit_words", "serial", "reference_hz")
 _SENSOR = ("sensor", "overlap")
+_SUMS = ("sums", "entry_bits", "sum_bits", "narrow_sums")
+DEFAULT_ENTRY_BITS, DEFAULT_SUM_BITS = 3, 10
 MAX_BAUD = 12_000_000
 MAX_SERIAL = (1 << 64) - 1
 MAX_REFERENCE_HZ = 200_000_000
@@ -107,6 +113,10 @@ CAMERA = (
     Setting("sensor", "1 = a sensor with serial lanes on pins, 0 = the synthetic one alone", 0, 1),
     Setting("overlap", "1 = the sensor on pins keeps its codes while it exposes", 0, 1),
     Setting("admit_words", "room in the buffer that a frame needs to be admitted", 3, 1 << 16),
+    Setting("sums", "sums per pixel that codes can be reduced to; 0 = no reduction", 0, MOST_SUMS),
+    Setting("entry_bits", "bits of an entry of the reduction's tables", 1, MOST_ENTRY_BITS),
+    Setting("sum_bits", "bits of a sum", 1, MOST_SUM_BITS),
+    Setting("narrow_sums", "last sums that have one bit less", 0, MOST_SUMS),
     Setting("serial", "serial number of the board", 0, MAX_SERIAL),
     _REFERENCE,
 )
@@ -298,7 +308,29 @@ def set_camera(config: CameraConfig, values: Mapping[str, int], /) -> CameraConf
     form = replace(config.form, **{name: values[name] for name in _FORM if name in values})
     rest = {name: values[name] for name in _CAMERA if name in values}
     sensor = {name: bool(values[name]) for name in _SENSOR if name in values}
-    return replace(config, form=form, **rest, **sensor)
+    return replace(config, form=form, **rest, **sensor, reduction=_reduction(form, values))
+
+
+def _reduction(form: FrameFormat, values: Mapping[str, int]) -> ReductionRoom | None:
+    """Return what the reduction is to have room for; None for no reduction.
+
+    Raises
+    ------
+    TargetError
+        If bits are given without sums.
+    """
+    if not values.get("sums"):
+        for name in _SUMS[1:]:
+            if name in values:
+                raise TargetError(f"{name} = {values[name]}: sums must be 1 or more")
+        return None
+    return ReductionRoom(
+        values["sums"],
+        values.get("entry_bits", DEFAULT_ENTRY_BITS),
+        values.get("sum_bits", DEFAULT_SUM_BITS),
+        offset_group(form.lanes),
+        values.get("narrow_sums", 0),
+    )
 
 
 def camera_settings(config: CameraConfig, /) -> dict[str, int]:
@@ -306,7 +338,15 @@ def camera_settings(config: CameraConfig, /) -> dict[str, int]:
     return {
         **{name: getattr(config.form, name) for name in _FORM},
         **{name: int(getattr(config, name)) for name in (*_CAMERA, *_SENSOR)},
+        **_room_settings(config.reduction),
     }
+
+
+def _room_settings(room: ReductionRoom | None) -> dict[str, int]:
+    """Return the settings of a reduction; none without."""
+    if room is None:
+        return {"sums": 0}
+    return dict(zip(_SUMS, (room.sums, room.entry_bits, room.sum_bits, room.narrow), strict=True))
 
 
 def _common_limits(config: IlluminatorConfig) -> Limits:

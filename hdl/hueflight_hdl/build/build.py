@@ -40,7 +40,7 @@ _EDGES = "Unable to route edge clock source"
 """What the router says of geared pins on both edges of the device, which have their own clocks."""
 _SIZES = {
     "illuminator": ("channels", "pulses", "steps"),
-    "camera": ("lanes", "code_bits", "run", "banks", "buffer_words"),
+    "camera": ("lanes", "code_bits", "run", "banks", "buffer_words", "sums", "sum_bits"),
 }
 """Settings that decide how large a design is."""
 _ECP5_ROUTE = " --placer-heap-timingweight 30 --tmg-ripup"

@@ -45,6 +45,10 @@ CHOSEN = {
         "banks": 4,
         "buffer_words": 1024,
         "admit_words": 128,
+        "sums": 11,
+        "entry_bits": 4,
+        "sum_bits": 12,
+        "narrow_sums": 5,
         "serial": 5,
         "reference_hz": 25_000_000,
     },
@@ -72,6 +76,8 @@ def test_every_setting_can_be_chosen(design):
         config = camera_config(options)
         assert (config.form.rows, config.form.cols, config.form.lanes) == (64, 32, 4)
         assert config.scene is not None
+        assert config.reduction is not None
+        assert config.reduction.widths == (12,) * 6 + (11,) * 5
         assert config.registers()["reference_hz"].reset == 25_000_000
 
 
@@ -103,6 +109,12 @@ def test_refusals_say_what_fits(words, said):
     with pytest.raises(Exception, match=said) as caught:
         find_target("illuminator", "ulx3s-85f", read_options(words=words))
     assert type(caught.value).__name__ in ("TargetError", "ConfigError", "UartError")
+
+
+def test_bits_of_sums_need_sums():
+    for settings in ({"sum_bits": 9}, {"sums": 0, "entry_bits": 3}):
+        with pytest.raises(TargetError, match="sums must be 1 or more"):
+            find_target("camera", "ulx3s-85f", Options(settings=settings))
 
 
 def test_lanes_are_not_set_twice(tmp_path):

@@ -46,11 +46,18 @@ def reduction_of(
     wanted = min(calibration.templates.bands + MORE_SUMS, room.sums)
     entry_bits = min(ENTRY_BITS, room.entry_bits)
     design = design_sums(calibration, sums=wanted, entry_bits=entry_bits, most_photons=most_photons)
-    if max(design.tables.widths) > room.sum_bits:
-        raise HueflightError(
-            f"sums of {picture_frames} frames need {max(design.tables.widths)} bits, the camera "
-            f"has room for {room.sum_bits}: ask for more pictures per second"
-        )
+    widths = room.widths[:wanted]
+    if any(width > most for width, most in zip(design.tables.widths, widths, strict=True)):
+        # a pixel reports a photon per frame at most
+        if picture_frames + 2 > 1 << room.sum_bits:
+            raise HueflightError(
+                f"sums of {picture_frames} frames need {(picture_frames + 1).bit_length()} bits, "
+                f"the camera has room for {room.sum_bits}: ask for more pictures per second"
+            )
+        design = design_sums(
+            calibration, sums=wanted, entry_bits=entry_bits, most_photons=picture_frames,
+            most_widths=widths,
+        )  # fmt: skip
     described = describe_sums(design, calibration)
     return Reduction(
         described.tables,

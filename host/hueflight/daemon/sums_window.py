@@ -125,11 +125,9 @@ class SumsWindow:
             )
 
     def _add(self, picture: SumsPicture, reduction: Reduction) -> None:
-        first, tables = picture.first, reduction.tables
-        frames = np.where(picture.present, np.int64(first.frames), 0)
-        saturated = (picture.values == tables.limits).any(axis=-1)
+        saturated = (picture.values == reduction.tables.limits).any(axis=-1)
         last = self._parts[-1] if self._parts else None
-        newest = _Part(picture.values.astype(np.uint64), frames, saturated)
+        newest = _Part(picture.values.astype(np.uint64), picture.frames.copy(), saturated)
         if last is not None and last.pictures < self._of_part:
             last.add(newest)
             return
@@ -231,17 +229,18 @@ class GatheredSums(SumsWindow):
         self._young = self._history = None
 
     def _add(self, picture: SumsPicture, reduction: Reduction) -> None:
-        tables, frames = reduction.tables, int(picture.first.frames)
+        tables, frames = reduction.tables, int(picture.frames.max())
         newest = _Part(
             picture.values.astype(np.uint64),
-            np.where(picture.present, np.int64(frames), 0),
+            picture.frames.copy(),
             (picture.values == tables.limits).any(axis=-1),
         )
         # tiles of which a part is missing are added, but not compared
         tiles = of_tiles(picture.values)
         whole = of_tiles(~picture.present) == 0
         tiles *= whole[..., None]
-        tile_frames = np.where(whole, float(frames), 0.0)
+        mean_frames = of_tiles(picture.frames) / of_tiles(np.ones_like(picture.frames))
+        tile_frames = np.where(whole, mean_frames, 0.0)
         if self._history is None:
             rows, cols, sums = tiles.shape
             self._history = TileHistory((rows, cols, sums), SumsContrasts.of(tables).compare)

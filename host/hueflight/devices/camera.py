@@ -151,7 +151,8 @@ class Camera:
         if not self.can_reduce:
             return None
         room = self.board.read(registers.ReductionRoom)
-        return ReductionRoom(room.sums, room.entry_bits, room.sum_bits, room.group)
+        narrow = self.board.read(registers.ReductionNarrow).value
+        return ReductionRoom(room.sums, room.entry_bits, room.sum_bits, room.group, narrow)
 
     def require(self, instrument: Instrument) -> None:
         """Compare the sensor with an instrument's.

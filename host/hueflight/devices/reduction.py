@@ -78,11 +78,14 @@ def load_reduction(board: Board, reduction: Reduction, /, *, pixels: int) -> Non
         raise DeviceError(NO_REDUCTION)
     tables = reduction.tables
     room = board.read(registers.ReductionRoom)
+    wide = room.sums - board.read(registers.ReductionNarrow).value
     for what, needed, most in (
         ("sums per pixel", tables.sums, room.sums),
         ("bits of a table entry", tables.entry_bits, room.entry_bits),
         ("bits of a sum", max(tables.widths), room.sum_bits),
-    ):
+        (f"bits of sum {wide} and all after it", max(tables.widths[wide:], default=1),
+         room.sum_bits - 1),
+    ):  # fmt: skip
         if needed > most:
             raise DeviceError(
                 f"the tables need {needed} {what}, the camera has room for {most}: design the "

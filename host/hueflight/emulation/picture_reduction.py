@@ -232,14 +232,15 @@ class PictureReduction:
         timed = flat[:, self._tables.first : self._tables.last + 1]
         about = self._stated | {
             "picture": self._number, "frames": self._frames, "missed": self._missed,
-            "photons": int(timed.sum(dtype=np.uint64)), "flags": self._flags,
+            "flags": self._flags,
             "periods": self._periods,
         }  # fmt: skip
+        photons = timed.sum(axis=1, dtype=np.uint64)
         step = self._rows * self._sensor.cols
         for first in range(0, len(values), step):
             yield Sums(
                 header=PacketHeader(sequence=0), values=values[first : first + step],
-                first_pixel=first, **about,
+                first_pixel=first, photons=int(photons[first : first + step].sum()), **about,
             )  # fmt: skip
 
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 from hueflight_protocol.wire import PACKET_HEADER, SUMS_BODY, PacketType
 
 _TYPE_AT = PACKET_HEADER.offset("type")
@@ -27,18 +29,32 @@ def holds_sums(packet: bytes, /) -> bool:
 class PictureTotals:
     """Counts the frames of pictures of which every packet came.
 
+    Where the packets of a picture hold other frames each, its frames are the mean over its pixels.
+
     Attributes
     ----------
-    pictures, frames, photons : int
-        Complete pictures, the frames that they hold, and the codes that were added.
-    missed : int
-        Frames that the camera could not add, as far as packets told.
+    pictures, photons : int
+        Complete pictures, and the codes that were added.
     """
 
     def __init__(self) -> None:
-        self.pictures = self.frames = self.photons = self.missed = 0
+        self.pictures = self.photons = 0
+        self._frames = Fraction(0)
+        self._missed_before = 0  # in earlier captures
+        self._missed: dict[int, int] = {}  # in this one, by the first pixel of a packet
         self._picture: tuple[int, int] | None = None  # capture and number
         self._pixels = 0  # of it that came without a gap; less than 0 if there was one
+        self._pixel_frames = self._photons = 0  # of it
+
+    @property
+    def frames(self) -> int:
+        """Frames that the complete pictures hold."""
+        return int(self._frames)
+
+    @property
+    def missed(self) -> int:
+        """Frames that the camera could not add to the sums of some pixel, as packets told."""
+        return self._missed_before + max(self._missed.values(), default=0)
 
     def feed(self, packet: bytes, /) -> None:
         """Count a packet.
@@ -51,16 +67,22 @@ class PictureTotals:
         head = SUMS_BODY.unpack(packet[PACKET_HEADER.size :][: SUMS_BODY.size])
         picture = PACKET_HEADER.unpack(packet[: PACKET_HEADER.size])["capture"], head["picture"]
         if picture != self._picture:
+            if self._picture is not None and picture[0] != self._picture[0]:
+                self._missed_before, self._missed = self.missed, {}
             self._picture, self._pixels = picture, 0
-            self.missed += head["missed"]
-        if head["first_pixel"] != self._pixels:
+            self._pixel_frames = self._photons = 0
+        first = head["first_pixel"]
+        self._missed[first] = self._missed.get(first, 0) + head["missed"]
+        if first != self._pixels:
             self._pixels = -1
             return
         self._pixels += head["pixels"]
+        self._pixel_frames += head["frames"] * head["pixels"]
+        self._photons += head["photons"]
         if self._pixels == head["rows"] * head["cols"]:
             self.pictures += 1
-            self.frames += head["frames"]
-            self.photons += head["photons"]
+            self._frames += Fraction(self._pixel_frames, self._pixels)
+            self.photons += self._photons
 
     def interrupt(self) -> None:
         """Take the present picture for incomplete: some of its packets are not kept."""

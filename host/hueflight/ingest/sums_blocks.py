@@ -19,7 +19,7 @@ class SumsBlock:
     packets : tuple of bytes
         Intact packets, in the order in which they came; some may be missing.
     frames : int
-        Frames that the sums hold.
+        Frames that the sums of the last packet hold.
     last_tick : int
         Device clock when the last of the packets was sent, in ticks.
     """

@@ -99,14 +99,15 @@ class RecordedSums:
     values : ndarray of uint64, shape (row, col, sum)
         Totals over all pictures; the greatest value of 32 bits where a sum was saturated.
     frames : ndarray of int, shape (row, col)
-        Frames behind them: fewer where a part of a picture is missing.
+        Frames behind them: fewer where a part of a picture is missing. They also differ where the
+        camera ends the windows of a picture one after another.
     description : SumsDescription
         What the sums were made with; the widths are those of the totals, 32 bits.
     pictures : int
         Pictures of which at least a part is there.
     losses : dict of int
-        Packets that are damaged or missing and frames that the camera could not add, by kind,
-        without those that are 0.
+        Packets that are damaged or missing and frames that the camera could not add to the sums of
+        some pixel, by kind, without those that are 0.
     """
 
     values: NDArray[np.uint64]
@@ -154,8 +155,9 @@ class SumsTotal:
         self._stated = tables.hash, offsets_hash(offsets.reshape(-1)), tables.widths
         self._values = np.zeros((*offsets.shape, tables.sums), np.uint64)
         self._frames = np.zeros(offsets.shape, np.int64)
+        self._missed = np.zeros(offsets.shape, np.int64)
         self._saturated = np.zeros(offsets.shape, bool)
-        self.pictures = self._missed = 0
+        self.pictures = 0
 
     def add(self, picture: SumsPicture, /) -> None:
         """Add a picture.
@@ -176,9 +178,10 @@ class SumsTotal:
                 f"{self._where}: picture {first.picture} has sums of other tables "
                 f"({first.tables:#010x}) than those attached ({tables.hash:#010x})"
             )
-        self.pictures, self._missed = self.pictures + 1, self._missed + first.missed
+        self.pictures += 1
         self._values += picture.values
-        self._frames[picture.present] += first.frames
+        self._frames += picture.frames
+        self._missed += picture.missed
         self._saturated[(picture.values == tables.limits).any(axis=-1)] = True
 
     def finish(self, *, damaged: int = 0, missing: int = 0) -> RecordedSums:
@@ -199,7 +202,7 @@ class SumsTotal:
         values = np.minimum(self._values, most)
         values[self._saturated] = most
         widths = (MOST_SUM_BITS,) * made.tables.sums
-        losses = {"damaged": damaged, "missing": missing, "dropped": self._missed}
+        losses = {"damaged": damaged, "missing": missing, "dropped": int(self._missed.max())}
         return RecordedSums(
             values,
             self._frames.copy(),

@@ -42,7 +42,7 @@ class SumsReader:
     pictures : int
         Number of pictures.
     picture_frames : int
-        Frames of the first picture.
+        Frames of a picture: the median of those that were looked at.
     seconds : float
         Time from the first picture to the last, by the device clock if its rate is in the metadata
         and it was not set back, otherwise by the host's.
@@ -59,18 +59,19 @@ class SumsReader:
         self.description = describe_recorded_sums(recording)
         places: list[tuple[int, int]] = []  # chunks with sums, and their first picture
         ticks: list[int] = []
-        self.picture_frames = 0
+        frames: list[int] = []
         number, before = 0, None
         for chunk, heads in self._heads():
             for place, head in enumerate(heads):
                 number += 0 if before is None else _steps(before, head)
-                self.picture_frames = self.picture_frames or head.frames
+                frames.append(head.frames)
                 before = head
                 ticks.append(head.header.timestamp)
                 if not place:
                     places.append((chunk, number))
         self._chunks, self._firsts = np.array(places, np.int64).reshape(-1, 2).T
         self.pictures = 0 if before is None else number + 1
+        self.picture_frames = sorted(frames)[len(frames) // 2] if frames else 0
         self.seconds = self._seconds(ticks)
 
     def read(self, start: int, stop: int, /) -> RecordedSums:

@@ -13,7 +13,7 @@ values without loss.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, log2
 
@@ -36,6 +36,7 @@ DARK = 0.1  #: reflectance of the other bands where a third of the bands is brig
 AMPLITUDE_WEIGHT = 1 / 3  #: of an amplitude's score against that of the delay
 MORE_SUMS = 6  #: than bands
 ENTRY_BITS = 8  #: of an entry of the tables
+SCALE_STEP = 0.1  #: of the greatest entry, where entries are made to fit
 HEADROOM = 5.0  #: standard deviations of a sum above its greatest mean that its width holds
 
 
@@ -78,6 +79,7 @@ def design_sums(
     entry_bits: int = ENTRY_BITS,
     depth_range: tuple[float, float] | None = None,
     most_photons: float = 2000.0,
+    most_widths: Sequence[int] | None = None,
 ) -> SumsDesign:
     """Design tables that keep as much information as so many sums can.
 
@@ -94,6 +96,9 @@ def design_sums(
         either way of the reference.
     most_photons : float, optional
         Photons of a pixel and picture, of which no sum saturates; it decides their widths.
+    most_widths : sequence of int, optional
+        Bits that there is room for, of each sum. Entries are smaller, and keep less, where a sum
+        would not fit.
 
     Returns
     -------
@@ -103,7 +108,7 @@ def design_sums(
     Raises
     ------
     HueflightError
-        If a number is out of range.
+        If a number is out of range, or there are too few bits.
     """
     bands = calibration.templates.bands
     sums = min(bands + MORE_SUMS, MOST_SUMS) if sums is None else sums
@@ -118,13 +123,19 @@ def design_sums(
     middle_ns, reach_ns = _range_of(calibration, depth_range)
     rows = _principal_scores(calibration, middle_ns, reach_ns, sums)
     rounded = _rounded(rows, entry_bits)
+    if most_widths is None:
+        widths = _widths(rounded, calibration, middle_ns, reach_ns, most_photons)
+    else:
+        conditions = np.array([mean for mean, _ in _conditions(calibration, middle_ns, reach_ns)])
+        rounded = _fitted(rows, rounded, conditions, most_photons, most_widths)
+        widths = tuple(most_widths)
     codes = calibration.bins.codes
     entries = np.zeros((sums, 1 << calibration.instrument.sensor.code_bits), np.uint16)
     entries[:, codes] = rounded
     return SumsDesign(
         ReductionTables(
             entries,
-            _widths(rounded, calibration, middle_ns, reach_ns, most_photons),
+            widths,
             int(codes.min()),
             int(codes.max()),
         ),
@@ -212,6 +223,42 @@ def _rounded(rows: NDArray[np.float64], entry_bits: int) -> NDArray[np.uint16]:
     most = np.full((len(rows), 1), (1 << entry_bits) - 1.0)
     most[0] = 1.0
     return np.rint((rows - low) / span * most).astype(np.uint16)
+
+
+def _fitted(
+    rows: NDArray[np.float64],
+    rounded: NDArray[np.uint16],
+    conditions: NDArray[np.float64],
+    photons: float,
+    widths: Sequence[int],
+) -> NDArray[np.uint16]:
+    """Tables with the largest entries, none above those given, whose sums fit their widths.
+
+    A row may be turned over, which loses nothing either.
+    """
+    if len(widths) != len(rows) or photons + 2 > 1 << widths[0]:
+        raise HueflightError(
+            f"most_widths = {widths!r}: must be {len(rows)} numbers, the first one at least "
+            f"{ceil(log2(photons + 2))} bits, to count {photons:g} photons"
+        )
+    found = [rounded[0]]
+    for row, given, width in zip(rows[1:], rounded[1:], widths[1:], strict=True):
+        best = np.zeros_like(given)
+        for shape in (row - row.min(), row.max() - row):
+            for most in np.arange(float(given.max()), 0, -SCALE_STEP):
+                entries = np.rint(shape * (most / shape.max()))
+                mean, spread = conditions @ entries, conditions @ entries**2
+                greatest = photons * mean + HEADROOM * np.sqrt(photons * spread)
+                if greatest.max() + 2 <= 1 << width:
+                    best = max(best, entries.astype(np.uint16), key=np.max)
+                    break
+        if not best.any():
+            raise HueflightError(
+                f"most_widths = {widths!r}: {width} bits hold no sum of {photons:g} photons; ask "
+                "for more pictures per second"
+            )
+        found.append(best)
+    return np.array(found)
 
 
 def _widths(

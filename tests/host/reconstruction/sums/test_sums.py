@@ -299,3 +299,22 @@ def test_bad_input_is_refused(instrument, calibration, design, draw):
     swapped = SumsDesign(ReductionTables(entries, (24,) * 15, 1, 511))
     with pytest.raises(HueflightError, match="first table of the design must count photons"):
         hf.reconstruct_sums(sums_of(counts, design), swapped, calibration)
+
+
+def test_tables_for_few_bits_never_saturate(instrument, calibration, draw):
+    widths, photons = (10,) * 4 + (9,) * 8, 310
+    design = hf.design_sums(
+        calibration, sums=12, entry_bits=3, most_photons=photons, most_widths=widths
+    )
+    assert design.tables.widths == widths
+    assert design.tables.entry_bits <= 3
+    counts = draw(instrument, depth=DISTANCE, photons=0.8 * photons)
+    sums = sums_of(counts, design)
+    assert (sums < design.tables.limits).all()
+    assert (sums.max(axis=(0, 1)) > design.tables.limits // 8).all(), "bits are left unused"
+    kept = information_kept(design, calibration, photons=620, background=62)
+    assert kept[0] < 1.1
+    with pytest.raises(HueflightError, match="at least 11 bits, to count 1100 photons"):
+        hf.design_sums(calibration, sums=12, most_photons=1100, most_widths=widths)
+    with pytest.raises(HueflightError, match="2 bits hold no sum of 310 photons"):
+        hf.design_sums(calibration, sums=12, most_photons=310, most_widths=(10, *[2] * 11))

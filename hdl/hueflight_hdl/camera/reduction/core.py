@@ -311,12 +311,13 @@ class ReductionCore(wiring.Component):
 
         looked, wanted = Signal.like(windows.taken), windows.wanted_place
         with m.If(windows.wanted & (quiet == QUIET_CLOCKS) & ~self.valid):
-            m.d.comb += [
-                beat.look.eq(looked != plan.groups_of(wanted.block)),
-                place.group.eq(wanted.group + looked),
-                place.block.eq(wanted.block),
-                place.at.eq(looked),
-            ]
+            m.d.comb += beat.look.eq(looked != plan.groups_of(wanted.block))
+            with m.If(beat.look):
+                m.d.comb += [
+                    place.group.eq(wanted.group + looked),
+                    place.block.eq(wanted.block),
+                    place.at.eq(looked),
+                ]
             m.d.sync += looked.eq(looked + beat.look)
         with m.Else():
             m.d.sync += looked.eq(windows.taken)
@@ -330,6 +331,8 @@ class ReductionCore(wiring.Component):
                 following.at.eq(Mux(last, 0, place.at + 1)),
                 following.block.eq(place.block + last),
             ]
+            with m.If(self.last_beat):
+                m.d.sync += following.eq(0)  # never beyond the memories
         return beat
 
     def _offsets(self, m: Module, group: Signal) -> data.View:

@@ -239,7 +239,7 @@ class PictureWriter(wiring.Component):
                 with m.If(last):
                     m.d.sync += lane.eq(lane + 1)
                     with m.If(last_lane):
-                        m.d.sync += [lane.eq(0), group.eq(group + 1)]
+                        m.d.sync += [lane.eq(0), group.eq(Mux(ends, 0, group + 1))]
                     with m.If(~sending):
                         m.d.sync += saturated.eq(saturated + reaches)
                     m.next = "ASK"

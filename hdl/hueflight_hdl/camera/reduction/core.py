@@ -309,22 +309,26 @@ class ReductionCore(wiring.Component):
         with m.If(self.valid | in_frame | self.discard | self.clear):
             m.d.sync += quiet.eq(0)
 
-        looked, wanted = Signal.like(windows.taken), windows.wanted_place
+        look, looked, wanted = Signal(), Signal.like(windows.taken), windows.wanted_place
         with m.If(windows.wanted & (quiet == QUIET_CLOCKS) & ~self.valid):
-            m.d.comb += beat.look.eq(looked != plan.groups_of(wanted.block))
-            with m.If(beat.look):
+            m.d.comb += look.eq(looked != plan.groups_of(wanted.block))
+            with m.If(look):
                 m.d.comb += [
                     place.group.eq(wanted.group + looked),
                     place.block.eq(wanted.block),
                     place.at.eq(looked),
                 ]
-            m.d.sync += looked.eq(looked + beat.look)
+            m.d.sync += looked.eq(looked + look)
         with m.Else():
             m.d.sync += looked.eq(windows.taken)
 
         last = Signal()  # of its block
-        m.d.comb += [beat.place.eq(place), last.eq(place.at == plan.groups_of(place.block) - 1)]
-        m.d.comb += beat.place.last.eq(last)
+        m.d.comb += [
+            last.eq(place.at == plan.groups_of(place.block) - 1),
+            beat.look.eq(look),
+            beat.place.eq(place),
+            beat.place.last.eq(last),
+        ]
         with m.If(self.valid):
             m.d.sync += [
                 following.group.eq(place.group + 1),

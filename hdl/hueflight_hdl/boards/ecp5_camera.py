@@ -38,18 +38,31 @@ STOP_CLOCKS = 16
 _VCO_HZ = 600e6
 LANES = 8
 FAST_ROUTES = {
-    # A bank is never read while it is written, which is formally verified (see
-    # `camera.formatter.chunk_buffer`); so is that sums which are read while they are written begin
-    # anew. Tables and offsets are not written while frames come. So yosys need not emulate the
-    # result of such collisions.
-    "script_after_read": (
-        "setparam -set COLLISION_X_MASK 1'1 *.store/t:$memrd_v2 *.sums_memory/t:$memrd_v2 "
-        "*.table*/t:$memrd_v2 *.offset_memory/t:$memrd_v2"
-    ),
     # no resets made of choices: those are the slowest wires
     "synth_opts": "-run begin:map_ffs",
     "script_after_synth": "dffunmap -srst-only; synth_ecp5 -run map_ffs: -top top",
 }
+
+
+def no_collisions(config: CameraConfig, /) -> str:
+    """Return what tells yosys that it need not emulate memories read while they are written.
+
+    A bank is never read while it is written, which is formally verified (see
+    `camera.formatter.chunk_buffer`); so is that sums which are read while they are written begin
+    anew. Tables and offsets are not written while frames come.
+
+    Parameters
+    ----------
+    config : CameraConfig
+        What is built.
+
+    Returns
+    -------
+    str
+        A command of yosys, for the netlist as it was read.
+    """
+    modules = ["*.formatter.store"] + ["*.reducer.core"] * (config.reduction is not None)
+    return " ".join(["setparam -set COLLISION_X_MASK 1'1", *(f"{m}/t:$memrd_v2" for m in modules)])
 
 
 def camera_config(options: Options | None = None) -> CameraConfig:
@@ -281,5 +294,9 @@ def camera_target(
         settings=camera_settings(config),
         registers=config.registers(),
         family="ecp5",
-        options={**FAST_ROUTES, **(FABRIC_CLOCK if config.sensor else {})},
+        options={
+            "script_after_read": no_collisions(config),
+            **FAST_ROUTES,
+            **(FABRIC_CLOCK if config.sensor else {}),
+        },
     )

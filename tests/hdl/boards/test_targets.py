@@ -2,6 +2,7 @@
 """Boards: pins that exist once, pins that must be told, and messages that say what there is."""
 
 import re
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -134,6 +135,21 @@ def test_a_sensor_on_pins_of_the_xem6310_has_its_timing_constrained(tmp_path):
 def test_a_sensor_needs_pins(board):
     with pytest.raises(TargetError, match="no sensor"):
         find_target("camera", board, Options(settings={"sensor": 1}))
+
+
+@pytest.mark.parametrize("settings", [{}, {"sums": 3}])
+def test_memories_whose_collisions_do_not_matter_are_found(tmp_path, settings):
+    options = Options(settings={"rows": 8, "cols": 8, "run": 8, "lanes": 4, **settings})
+    prepare(find_target("camera", "ulx3s-85f", options), tmp_path)
+    command = re.search("setparam -set COLLISION_X_MASK .*", (tmp_path / "top.ys").read_text())
+    patterns = re.findall(r"(\S+)/t:\$memrd_v2", command[0])
+    modules = re.split(r"^module \\", (tmp_path / "top.il").read_text(), flags=re.MULTILINE)
+    reading = {text.split()[0] for text in modules if "cell $memrd_v2" in text}
+    found = [{name for name in reading if fnmatchcase(name, pattern)} for pattern in patterns]
+    assert all(found), "yosys only warns of a selection of nothing"
+    core = {name for name in reading if ".reducer.core" in name and not name.endswith(".windows")}
+    assert core <= set().union(*found)
+    assert bool(core) == bool(settings)
 
 
 @pytest.mark.slow

@@ -248,7 +248,7 @@ def test_masked_pixels_add_nothing_and_packets_say_so():
 def test_a_frame_that_ends_early_takes_its_windows_with_it():
     # one packet a picture, which ends with each third frame; the fifth frame ends early, the
     # seventh never begins
-    trial = replace(draw(6, lanes=4, rows=4, cols=6, frames=11, gap=700), cut={4: 3, 6: 0})
+    trial = replace(draw(6, lanes=4, rows=4, cols=7, frames=11, gap=700), cut={4: 3, 6: 0})
     assert plan_of(trial).blocks == 1
     pictures = check(trial)
     assert [int(picture.frames.max()) for picture in pictures] == [3, 2, 3]

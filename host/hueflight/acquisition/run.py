@@ -327,7 +327,7 @@ class Run:
         """
         report = self.report
         known = report.frames + report.aborted + report.dropped + report.dropped_before
-        exposed = max(self._exposed, known)
+        exposed = max(self._exposed, known, self.exposed_at_end or 0)
         return self.accounting.update(report, exposed, stalled_s=self._stalled_s)
 
     @property

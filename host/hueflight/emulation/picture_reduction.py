@@ -201,14 +201,14 @@ class PictureReduction:
         self._missed += frames
 
     def bodies(self) -> list[bytes]:
-        """End the picture, if it holds a frame.
+        """End the picture, if a frame came since the one before, gathered or missed.
 
         Returns
         -------
         list of bytes
             Bodies of its packets.
         """
-        if not self._frames:
+        if not self._frames and not self._missed:
             return []
         whole = self._frames == self._frames_wanted
         if self._waiting and whole:

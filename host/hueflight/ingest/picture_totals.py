@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from math import ceil
 
 from hueflight_protocol.wire import PACKET_HEADER, SUMS_BODY, PacketType
 
@@ -29,7 +30,9 @@ def holds_sums(packet: bytes, /) -> bool:
 class PictureTotals:
     """Counts the frames of pictures of which every packet came.
 
-    Where the packets of a picture hold other frames each, its frames are the mean over its pixels.
+    Where the packets of a picture hold other frames each, its frames are the mean over its pixels,
+    and so are those that the camera missed. Rounded down and up, both together are never more than
+    the frames of the captures, and as many if no packet is lost.
 
     Attributes
     ----------
@@ -39,9 +42,7 @@ class PictureTotals:
 
     def __init__(self) -> None:
         self.pictures = self.photons = 0
-        self._frames = Fraction(0)
-        self._missed_before = 0  # in earlier captures
-        self._missed: dict[int, int] = {}  # in this one, by the first pixel of a packet
+        self._frames = self._missed = Fraction(0)
         self._picture: tuple[int, int] | None = None  # capture and number
         self._pixels = 0  # of it that came without a gap; less than 0 if there was one
         self._pixel_frames = self._photons = 0  # of it
@@ -53,8 +54,8 @@ class PictureTotals:
 
     @property
     def missed(self) -> int:
-        """Frames that the camera could not add to the sums of some pixel, as packets told."""
-        return self._missed_before + max(self._missed.values(), default=0)
+        """Frames that the camera could not add to the sums, as packets told."""
+        return ceil(self._missed)
 
     def feed(self, packet: bytes, /) -> None:
         """Count a packet.
@@ -67,19 +68,17 @@ class PictureTotals:
         head = SUMS_BODY.unpack(packet[PACKET_HEADER.size :][: SUMS_BODY.size])
         picture = PACKET_HEADER.unpack(packet[: PACKET_HEADER.size])["capture"], head["picture"]
         if picture != self._picture:
-            if self._picture is not None and picture[0] != self._picture[0]:
-                self._missed_before, self._missed = self.missed, {}
             self._picture, self._pixels = picture, 0
             self._pixel_frames = self._photons = 0
-        first = head["first_pixel"]
-        self._missed[first] = self._missed.get(first, 0) + head["missed"]
-        if first != self._pixels:
+        pixels = head["rows"] * head["cols"]
+        self._missed += Fraction(head["missed"] * head["pixels"], pixels)
+        if head["first_pixel"] != self._pixels:
             self._pixels = -1
             return
         self._pixels += head["pixels"]
         self._pixel_frames += head["frames"] * head["pixels"]
         self._photons += head["photons"]
-        if self._pixels == head["rows"] * head["cols"]:
+        if self._pixels == pixels:
             self.pictures += 1
             self._frames += Fraction(self._pixel_frames, self._pixels)
             self.photons += self._photons

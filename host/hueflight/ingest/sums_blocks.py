@@ -62,7 +62,7 @@ class SumsBlocks:
         Returns
         -------
         list of SumsBlock
-            Pictures that this packet completes, or shows to be over.
+            Pictures that this packet completes, or shows to be over; see `finish`.
         """
         head = PACKET_HEADER.unpack(packet[: PACKET_HEADER.size])
         body = SUMS_BODY.unpack(packet[PACKET_HEADER.size :][: SUMS_BODY.size])
@@ -80,7 +80,10 @@ class SumsBlocks:
         Returns
         -------
         list of SumsBlock
-            The picture, if a packet of it came.
+            The picture, if a packet of it came. One whose last packet holds no frame is left out:
+            it tells what the camera missed at the end of a capture.
         """
         packets, self._packets, self._picture = tuple(self._packets), [], None
-        return [SumsBlock(packets, self._frames, self._tick)] if packets else []
+        if not packets or not self._frames:
+            return []
+        return [SumsBlock(packets, self._frames, self._tick)]

@@ -318,6 +318,25 @@ def test_a_sensor_that_misbehaves_is_never_believed(camera, seed, with_codes):
     assert camera.read("faults")["sensor"] == 1
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_capture_that_is_aborted_tells_of_all_its_frames(camera, seed):
+    rng = np.random.default_rng(200 + seed)
+    for _ in range(5):
+        capture = draw(rng, frames=0, with_codes=False, overlap=True)
+        capture.load(camera)
+        capture.start(camera)
+        camera.run(clocks=int(rng.integers(1, 20_000)))
+        camera.write("run", abort=1)
+        packets = finish(camera)
+        (came,) = (e.value for e in contents(packets, Event) if e.code == EventCode.RUN_STOPPED)
+        told: dict[int, int] = {}
+        for part in contents(packets, Sums):
+            first = part.first_pixel
+            told[first] = told.get(first, 0) + part.frames + part.missed
+        assert set(told.values()) <= {came}
+        assert bool(told) == bool(came)
+
+
 def test_tables_and_offsets_cannot_be_written_during_a_capture(camera):
     capture = Capture(np.random.default_rng(3), frames=400, label=3)
     capture.load(camera)

@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import hueflight as hf
 from hueflight.acquisition.plan import RunPlan
@@ -18,8 +20,9 @@ from hueflight.devices.reduction import Reduction
 from hueflight.devices.transports.stream import StreamStatistics
 from hueflight.emulation import CameraModel, FrameBank
 from hueflight.emulation.simulated_transport import SimulatedStream, SimulatedTransport
+from hueflight.ingest.picture_totals import PictureTotals
 from hueflight.recording import RecordingWriter
-from hueflight_protocol import PacketParser, Sums
+from hueflight_protocol import PacketHeader, PacketParser, Sums, encode_sums
 from hueflight_protocol.reduction import ReductionTables
 
 FRAMES, PER_PICTURE = 70, 20
@@ -99,6 +102,57 @@ def test_frames_without_room_for_a_picture_are_dropped_by_the_camera(
     }  # fmt: skip
     assert totals.delivered + model.sent.dropped == FRAMES
     assert model.sent.dropped > 0
+
+
+@pytest.mark.parametrize(("lost", "usb"), [(None, 0), (0, PER_PICTURE), (8, 0)])
+def test_frames_after_the_last_picture_are_accounted_for_without_the_camera(
+    instrument: hf.Instrument, lost: int | None, usb: int
+) -> None:
+    """The camera is gone when the run is over, so that its counters can't be asked."""
+    run, _, model, data = run_of(instrument, buffer_bytes=64 * 64 * 32 * 4 + 4000)
+    parts = parts_of(data)
+    assert len(parts) == 2 * 8  # a picture of 20 frames, and one that tells of 50 that were missed
+    if lost is not None:
+        start, end = parts[lost]
+        data = data[:start] + data[end:]
+    blocks = run.take(data, 1.0, StreamStatistics())
+    assert [block.frames for block in blocks] == [PER_PICTURE] * len(blocks)
+    totals = run.update_totals()
+    assert model.sent.dropped == FRAMES - PER_PICTURE == 50
+    assert (totals.exposed, totals.delivered) == (FRAMES, PER_PICTURE - usb)
+    seen = 50 if lost != 8 else 44  # an eighth of the pixels tell nothing
+    assert totals.losses.as_dict() == {
+        "sensor": 0, "fpga": seen, "usb": usb + 50 - seen, "host": 0, "disk": 0,
+    }  # fmt: skip
+
+
+@given(
+    st.lists(st.lists(st.integers(0, 9), min_size=3, max_size=3), min_size=1, max_size=9),
+    st.integers(0, 40),
+    st.integers(0, 99),
+)
+def test_windows_of_any_length_add_up_to_the_frames_of_the_capture(
+    held: list[list[int]], missed: int, lost: int
+) -> None:
+    """Each block of a picture holds other frames, and the last pictures tell of the others."""
+    exposed = max(map(sum, zip(*held, strict=True))) + missed
+    left = [exposed - sum(frames) for frames in zip(*held, strict=True)]
+    totals = [PictureTotals(), PictureTotals()]
+    pixels = (5, 2, 4)
+    for picture, windows in enumerate([*held, [0, 0, 0]]):
+        for block, frames in enumerate(windows):
+            part = Sums(
+                header=PacketHeader(sequence=0), values=np.zeros((pixels[block], 1), np.uint32),
+                widths=(8,), picture=picture, first_pixel=sum(pixels[:block]), rows=1, cols=11,
+                frames=frames, missed=left[block] if picture == len(held) else 0, tables=1,
+            )  # fmt: skip
+            packet = encode_sums(part)
+            totals[0].feed(packet)
+            if 3 * picture + block != lost:
+                totals[1].feed(packet)
+    whole, cut = totals
+    assert whole.frames + whole.missed == exposed
+    assert cut.frames + cut.missed <= exposed
 
 
 def test_the_writer_counts_frames_of_whole_pictures(instrument: hf.Instrument, tmp_path) -> None:

@@ -143,8 +143,8 @@ def test_every_frame_is_in_a_picture_or_counted_as_missed(pulls: list[tuple[floa
     assert parser.report.damaged == parser.report.missing == parser.report.skipped_bytes == 0
     parts = [packet.content for packet in packets if isinstance(packet.content, hp.Sums)]
     gathered, missed = sum(part.frames for part in parts), sum(part.missed for part in parts)
-    assert gathered + model.sent.dropped == model.sent.frames
-    assert missed <= model.sent.dropped  # the last ones come after the last picture
+    assert gathered + missed == model.sent.frames
+    assert missed == model.sent.dropped
 
 
 def test_a_picture_counts_when_all_its_packets_came(small: Callable[..., hf.Instrument]) -> None:

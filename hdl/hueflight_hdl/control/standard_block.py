@@ -54,12 +54,12 @@ def add_control(
         registers.uptime.value.eq(uptime),
         registers.temperature.value.eq(temperature),
     ]
-    for name, width, event, value in (
-        ("requests", 32, engine.answered, registers.requests.value),
-        ("crc_errors", 16, engine.crc_error, registers.request_errors.crc),
-        ("framing_errors", 16, engine.framing_error, registers.request_errors.framing),
+    for name, event, value in (
+        ("requests", engine.answered, registers.requests.value),
+        ("crc_errors", engine.crc_error, registers.request_errors.crc),
+        ("framing_errors", engine.framing_error, registers.request_errors.framing),
     ):
-        counter = SaturatingCounter(width)
+        counter = SaturatingCounter(len(value))
         m.submodules[name] = counter
         m.d.comb += [counter.event.eq(event), value.eq(counter.value)]
     return engine

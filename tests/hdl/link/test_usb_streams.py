@@ -6,7 +6,7 @@ import pytest
 from amaranth.hdl import ClockDomain, Elaboratable, Module
 from amaranth.sim import Simulator
 
-from hueflight_hdl.link.ft601 import Ft601Bursts
+from hueflight_hdl.link.ft601 import Ft601Bursts, Ft601Link
 from hueflight_hdl.link.packet_crossing import PacketCrossing
 from hueflight_hdl.link.usb_streams import PACKET_BYTES, ControlBytes, PacketBytes
 
@@ -190,6 +190,32 @@ def test_ft601_gathers_bursts_and_lets_nothing_lie():
         assert chip.bursts[0] >= 2 * 16
 
     run(dut, queue, pins, domains={"ft": 1e-8})
+
+
+def test_words_pass_the_ft601_s_link_and_its_two_clocks():
+    rng = np.random.default_rng(601)
+    words = [int(word) for word in rng.integers(0, 1 << 63, 200)]
+    chip = Ft601Model(rng, depth=20, drain=0.1)
+    dut = Ft601Link()
+
+    async def give(ctx):
+        for number, word in enumerate(words):
+            ctx.set(dut.packets.payload.data, word)
+            ctx.set(dut.packets.payload.last, number == len(words) - 1)
+            ctx.set(dut.packets.valid, 1)
+            await ctx.tick().until(dut.packets.ready)
+        ctx.set(dut.packets.valid, 0)
+
+    async def pins(ctx):
+        ctx.set(dut.txe_n, 0)
+        for _ in range(10_000):
+            _, _, wr_n, be, data = await ctx.tick("ft").sample(dut.wr_n, dut.be, dut.data)
+            ctx.set(dut.txe_n, chip.clock(wr_n, be, data))
+            if len(chip.words) == 2 * len(words):
+                break
+        assert np.array(chip.words, "<u4").view("<u8").tolist() == words
+
+    run(dut, give, pins, domains={"sync": 1e-8, "ft": 0.97e-8})
 
 
 PAUSES = 30

@@ -11,9 +11,9 @@ FORM = FrameFormat(rows=4, cols=8, lanes=8, run=8, code_bits=4)
 PATIENCE = 6
 
 
-def run(beats: int, *, clocks: int = 40) -> dict[str, list[int]]:
+def run(beats: int, form: FrameFormat = FORM, *, clocks: int = 40) -> dict[str, list[int]]:
     """Ask for a frame and send so many beats of it; return the clocks of each output."""
-    dut = FrameGuard(FORM, patience=PATIENCE)
+    dut = FrameGuard(form, patience=PATIENCE)
     seen: dict[str, list[int]] = {
         name: [] for name in ("passed", "dropped", "aborted", "over", "fault")
     }
@@ -28,8 +28,8 @@ def run(beats: int, *, clocks: int = 40) -> dict[str, list[int]]:
             ctx.set(dut.sensor.valid, sends)
             ctx.set(dut.sensor.payload.first, taken == 0)
             ctx.set(dut.sensor.payload.row, 1)
-            ctx.set(dut.sensor.payload.last, taken == FORM.beats - 1)
-            ctx.set(dut.ends, taken == FORM.beats - 1)
+            ctx.set(dut.sensor.payload.last, taken == form.beats - 1)
+            ctx.set(dut.ends, taken == form.beats - 1)
             for name, found in seen.items():
                 if ctx.get(getattr(dut, name)):
                     found.append(clock)
@@ -43,8 +43,10 @@ def run(beats: int, *, clocks: int = 40) -> dict[str, list[int]]:
     return seen
 
 
-def test_a_whole_frame_is_no_fault():
-    seen = run(FORM.beats)
+@pytest.mark.parametrize("form", [FORM, FrameFormat(rows=1, cols=8, lanes=8, run=8, code_bits=4)])
+def test_a_whole_frame_is_no_fault(form: FrameFormat):
+    """Also one that is a single beat."""
+    seen = run(form.beats, form)
     assert len(seen["passed"]) == len(seen["over"]) == 1
     assert not seen["fault"] + seen["dropped"] + seen["aborted"]
 

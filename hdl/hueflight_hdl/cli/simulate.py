@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from ..boards.target import TargetError
 from .app import Progress, app
@@ -15,6 +18,7 @@ def simulate(
     /,
     *,
     folder: Path | None = None,
+    signals: Annotated[bool, Parameter(negative=())] = False,
     frames: int = 20,
     occupancy: float = 0.3,
 ) -> None:
@@ -30,6 +34,9 @@ def simulate(
         Design to simulate: illuminator or camera.
     folder
         Output folder. The default is build/simulate-DESIGN.
+    signals
+        Also write every signal of the illuminator's gateware, inner ones too, as a VCD file of
+        9 MB with a save file for GTKWave. This takes up to a minute.
     frames
         Number of frames that the simulated camera captures.
     occupancy
@@ -38,8 +45,10 @@ def simulate(
     where = folder or Path("build") / f"simulate-{design}"
     if design == "illuminator":
         where.mkdir(parents=True, exist_ok=True)
-        _illuminator(where)
+        _illuminator(where, signals=signals)
     elif design == "camera":
+        if signals:
+            raise TargetError("--signals: belongs to the illuminator")
         if frames < 1:
             raise TargetError(f"--frames {frames}: must be 1 or more")
         if not 0 <= occupancy <= 1:
@@ -50,9 +59,10 @@ def simulate(
         raise TargetError(f"there is no design {design!r}: choose one of illuminator, camera")
 
 
-def _illuminator(folder: Path) -> None:
+def _illuminator(folder: Path, *, signals: bool) -> None:
     from ..testbench.illuminator_waveform import (
         draw,
+        dump_train,
         record_train,
         write_save_file,
         write_vcd,
@@ -66,6 +76,10 @@ def _illuminator(folder: Path) -> None:
         print(folder / name)
     write_save_file(waveform, folder / "train.vcd", folder / "train.gtkw")
     print(folder / "train.gtkw")
+    if signals:
+        progress("running the illuminator again with all its signals")
+        for path in dump_train(folder):
+            print(path)
 
 
 def _camera(folder: Path, frames: int, occupancy: float) -> None:

@@ -14,7 +14,7 @@ import ctypes
 import hashlib
 import importlib.util
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -141,12 +141,9 @@ def compile_design(
     top.submodules.design = design
     signals: dict[str, Value] = {}
     ports: list[Port] = []
-    for path, member, value in design.signature.flatten(design):
-        signal = Value.cast(value)
-        if isinstance(signal, Signal) and len(signal):  # streams may have constant members
-            name = "__".join(str(part) for part in path)
-            signals[name] = signal
-            ports.append(Port(name, len(signal), member.flow is wiring.In))
+    for port, signal in design_ports(design):
+        signals[port.name] = signal
+        ports.append(port)
     for domain in clocks:
         made = ClockDomain(domain, reset_less=True)
         top.domains += made
@@ -155,6 +152,15 @@ def compile_design(
         top, ports={name: (signal, None) for name, signal in signals.items()}, emit_src=False
     )
     return _library(text, shim_source(ports, clocks)), ports
+
+
+def design_ports(design: wiring.Component, /) -> Iterator[tuple[Port, Signal]]:
+    """Return the ports of a component in the order of the records, with their signals."""
+    for path, member, value in design.signature.flatten(design):
+        signal = Value.cast(value)
+        if isinstance(signal, Signal) and len(signal):  # streams may have constant members
+            name = "__".join(str(part) for part in path)
+            yield Port(name, len(signal), member.flow is wiring.In), signal
 
 
 def simulate(design: wiring.Component, *, clocks: Mapping[str, int] | None = None) -> Simulation:

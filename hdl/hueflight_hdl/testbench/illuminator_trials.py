@@ -123,21 +123,37 @@ class TrialTestbench:
     ----------
     config : IlluminatorConfig
     gearing : Gearing
+    record : bool
+        Keep inputs and outputs, for `testbench.signal_dump`.
+
+    Attributes
+    ----------
+    clocks : dict of str to int
+        Clock domains, see `cxxrtl.compile_design`.
+    recorded : list of (numpy.ndarray, numpy.ndarray)
+        Inputs and outputs since configuration, if they are kept.
     """
 
-    def __init__(self, config: IlluminatorConfig, gearing: Gearing) -> None:
+    def __init__(
+        self, config: IlluminatorConfig, gearing: Gearing, *, record: bool = False
+    ) -> None:
         self.config = config
         self.gearing = gearing
         self.registers = config.registers()
         self._ratio = config.clock_ratio
-        self._compiled = compile_design(
-            SimulatedIlluminatorCore(config, gearing), clocks={"pulse": 1, "sync": self._ratio}
-        )
+        self.clocks = {"pulse": 1, "sync": self._ratio}
+        self._compiled = compile_design(self.design(), clocks=self.clocks)
+        self._record = record
         self.configure()
+
+    def design(self) -> SimulatedIlluminatorCore:
+        """Return the simulated design, not elaborated yet."""
+        return SimulatedIlluminatorCore(self.config, self.gearing)
 
     def configure(self) -> None:
         """Have the board be as it is right after configuration."""
         self._simulation = Simulation(*self._compiled)
+        self.recorded: list[tuple[np.ndarray, np.ndarray]] = []
 
     @property
     def latency_clocks(self) -> int:
@@ -243,6 +259,8 @@ class TrialTestbench:
             payload = np.array([*message, 1 << 8], np.uint32)
             slow["requests__payload"][span] = payload[:, None]
         outputs = self._simulation.run(records)
+        if self._record:
+            self.recorded.append((records, outputs))
         answers = self._answers(outputs)
         if len(answers) != len(asked):
             raise TrialError(f"{len(asked)} requests, {len(answers)} answers")

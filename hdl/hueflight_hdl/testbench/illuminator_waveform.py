@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One LED train of the simulated illuminator, as a VCD file and as a drawing."""
+"""One LED train of the simulated illuminator, as VCD files and as a drawing."""
 
 from __future__ import annotations
 
@@ -17,12 +17,19 @@ from ..illuminator.gearing.interface import Gearing
 from ..illuminator.illuminator import IlluminatorConfig
 from ..illuminator.pulse_generator.config import PulseConfig
 from ..illuminator.pulse_generator.reference import Pulse, Schedule
+from .cxxrtl import SimulationError
 from .illuminator_trials import Trial, TrialTestbench
+from .signal_dump import dump_signals, find_signals
 
 TABLE_1 = Schedule(256, 0x1FF, [[Pulse(24 * channel, 8)] for channel in range(9)])
 """The paper's schedule in ticks of 1.25 ns: 10 ns wide, 30 ns apart, every 320 ns (its Table 1)."""
 _LEAD_CLOCKS = 600
 """For the request that arms."""
+_TOP_SCOPE = "bench.top"
+_SHOWN_SCOPES = [
+    _TOP_SCOPE + within
+    for within in ("", ".core.generator", ".core.generator.sequencer", ".core.generator.channel0")
+]
 
 
 @dataclass(frozen=True)
@@ -64,9 +71,65 @@ def record_train(
         From shortly before the trigger to the end of its train; pins ``trigger``, ``armed`` and
         ``led0`` and so on.
     """
+    bench = _bench(config, gearing)
+    return _record_train(bench, schedule, phase)
+
+
+def dump_train(
+    folder: Path,
+    config: IlluminatorConfig | None = None,
+    gearing: Gearing | None = None,
+    schedule: Schedule = TABLE_1,
+) -> tuple[Path, Path]:
+    """Simulate an illuminator for one train, and write all signals of its gateware.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write: ``signals.vcd``, from the configuration on, and ``signals.gtkw``, which
+        shows pins, pulse generator, sequencer and first channel while the train lasts.
+    config, gearing, schedule
+        As for `record_train`.
+
+    Returns
+    -------
+    dump, save : Path
+        The two files.
+
+    Raises
+    ------
+    SimulationError
+        If Amaranth's simulator and the compiled design do not have the same outputs.
+    """
+    bench = _bench(config, gearing, record=True)
+    waveform = _record_train(bench, schedule, 0)
+    clock_s = 1 / bench.config.pulse_hz
+    inputs, outputs = (np.concatenate(part) for part in zip(*bench.recorded, strict=True))
+    dump, save = folder / "signals.vcd", folder / "signals.gtkw"
+    levels = dump_signals(bench.design(), inputs, dump, clocks=bench.clocks, clock_s=clock_s)
+    if any((levels[name] != outputs[name]).any() for name in outputs.dtype.names):
+        raise SimulationError("the two simulators differ: report it with the configuration")
+    shown_ps = len(waveform.pins["trigger"]) * waveform.tick_ns * 1000
+    end_ps = len(inputs) * clock_s * 1e12
+    with save.open("w") as file:
+        made = GTKWSave(file)
+        made.dumpfile(dump.name, abspath=False)
+        made.zoom_markers(zoom=-math.log2(shown_ps / _VIEW_PIXELS))
+        made.timestart(round(end_ps - shown_ps))
+        for name in find_signals(dump, _SHOWN_SCOPES):
+            made.trace(name)
+    return dump, save
+
+
+def _bench(
+    config: IlluminatorConfig | None, gearing: Gearing | None, *, record: bool = False
+) -> TrialTestbench:
     config = config or IlluminatorConfig(PulseConfig(pulses=1, steps=1))
-    bench = TrialTestbench(config, gearing or Ecp5Gearing())
-    lanes = config.pulse.lanes
+    return TrialTestbench(config, gearing or Ecp5Gearing(), record=record)
+
+
+def _record_train(bench: TrialTestbench, schedule: Schedule, phase: int) -> Waveform:
+    lanes = bench.config.pulse.lanes
     late = bench.latency_clocks * lanes
     trigger = np.zeros(_LEAD_CLOCKS * lanes + schedule.period + 4 * late, bool)
     at = _LEAD_CLOCKS * lanes + phase
@@ -79,7 +142,7 @@ def record_train(
 
     pins = {"trigger": trigger[window], "armed": pin(shot.armed)}
     pins |= {f"led{channel}": pin(level) for channel, level in enumerate(shot.levels)}
-    return Waveform(config.tick_fs * 1e-6, pins)
+    return Waveform(bench.config.tick_fs * 1e-6, pins)
 
 
 def write_vcd(waveform: Waveform, path: Path, /) -> None:

@@ -143,8 +143,10 @@ def test_a_false_property_is_reported_with_exit_code_2(prover, capsys, monkeypat
 @pytest.mark.slow
 def test_simulations_write_a_waveform_and_packets(simulator, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["simulate", "illuminator", "--folder", str(tmp_path)])
+        main(["simulate", "illuminator", "--signals", "--folder", str(tmp_path)])
     assert not ended.value.code
+    assert "bench.top.core.generator.sequencer." in (tmp_path / "signals.gtkw").read_text()
+    assert (tmp_path / "signals.vcd").stat().st_size > 1e6
     changes = (tmp_path / "train.vcd").read_text()
     assert "$timescale 1 ps" in changes
     assert "led8" in changes

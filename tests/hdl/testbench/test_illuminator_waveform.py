@@ -15,11 +15,13 @@ from hueflight_hdl.illuminator.pulse_generator.reference import Pulse, Schedule
 from hueflight_hdl.testbench.illuminator_waveform import (
     Waveform,
     draw,
+    dump_train,
     record_train,
     write_save_file,
     write_vcd,
 )
 from hueflight_hdl.testbench.jitter import jitter_table, trigger_jitter
+from hueflight_hdl.testbench.signal_dump import find_signals
 from support.illuminator_stimuli import small_illuminator
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -70,6 +72,23 @@ def test_the_dump_has_every_edge(small: Waveform, tmp_path: Path):
     assert falls == [[first + (24 * k + 8) * tick_ps] for k in range(3)]
     # as late as gearing and pipeline say, to the tick
     assert (first - trigger) % (4 * tick_ps) == 0
+
+
+def test_the_dump_of_all_signals_has_those_within(simulator: None, tmp_path: Path):
+    """Amaranth's simulator has the outputs of the compiled design; a train's pulses are within."""
+    pulses = [[Pulse(24 * channel, 8)] + [Pulse(0, 0)] * 3 for channel in range(3)]
+    dump, save = dump_train(tmp_path, small_illuminator(4), Ecp5Gearing(), Schedule(256, 7, pulses))
+    lines = save.read_text().splitlines()
+    shown = [line for line in lines if line.startswith("bench.top.")]
+    assert {"bench.top.trigger", "bench.top.armed"} <= set(shown)
+    inner = [name for name in shown if name.startswith("bench.top.core.generator.sequencer.")]
+    assert len(inner) > 10
+    assert set(shown) <= set(find_signals(dump, sorted({n.rpartition(".")[0] for n in shown})))
+    start = next(
+        int(line.split()[1]) for line in save.read_text().splitlines() if "timestart" in line
+    )
+    times = [int(line[1:]) for line in dump.read_text().splitlines() if line.startswith("#")]
+    assert sum(at >= start for at in times) > 100  # the train is what the save file shows
 
 
 def test_the_drawing_says_when_each_led_fires(small: Waveform, tmp_path: Path):

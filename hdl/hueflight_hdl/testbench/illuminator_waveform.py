@@ -107,7 +107,7 @@ def dump_train(
     inputs, outputs = (np.concatenate(part) for part in zip(*bench.recorded, strict=True))
     dump, save = folder / "signals.vcd", folder / "signals.gtkw"
     levels = dump_signals(bench.design(), inputs, dump, clocks=bench.clocks, clock_s=clock_s)
-    if any((levels[name] != outputs[name]).any() for name in outputs.dtype.names):
+    if any((level != outputs[name]).any() for name, level in levels.items()):
         raise SimulationError("the two simulators differ: report it with the configuration")
     shown_ps = len(waveform.pins["trigger"]) * waveform.tick_ns * 1000
     end_ps = len(inputs) * clock_s * 1e12

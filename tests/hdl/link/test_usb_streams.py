@@ -6,7 +6,7 @@ import pytest
 from amaranth.hdl import ClockDomain, Elaboratable, Module
 from amaranth.sim import Simulator
 
-from hueflight_hdl.link.ft601 import Ft601Bursts, Ft601Link
+from hueflight_hdl.link.ft601 import LINGER_CLOCKS, Ft601Bursts, Ft601Link
 from hueflight_hdl.link.packet_crossing import PacketCrossing
 from hueflight_hdl.link.usb_streams import PACKET_BYTES, ControlBytes, PacketBytes
 
@@ -208,7 +208,7 @@ def test_words_pass_the_ft601_s_link_and_its_two_clocks():
 
     async def pins(ctx):
         ctx.set(dut.txe_n, 0)
-        for _ in range(10_000):
+        for _ in range(LINGER_CLOCKS // 2):  # words go because they are many, not for their age
             _, _, wr_n, be, data = await ctx.tick("ft").sample(dut.wr_n, dut.be, dut.data)
             ctx.set(dut.txe_n, chip.clock(wr_n, be, data))
             if len(chip.words) == 2 * len(words):

@@ -121,7 +121,7 @@ class SyntheticSensor(wiring.Component):
 
     def _generator(self, m: Module, lane: int, step: Value) -> Signal:
         """Return the state of a lane's xorshift32, the one of Marsaglia's with 13, 17, 5."""
-        state = Signal(32, init=SEEDS[lane] | 1, name=f"state{lane}")
+        state = Signal(32, name=f"state{lane}")
         a = state ^ (state << 13)[:32]
         b = a ^ (a >> 17)
         with m.If(step):

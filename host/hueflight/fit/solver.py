@@ -206,6 +206,24 @@ def leave_unassessed(found: Fit, per_period: NDArray[np.float64]) -> None:
     found.chi_square[corrected] = found.misfit[corrected] = np.nan
 
 
+def pixel_numbers(chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the numbers of the pixels that are chosen.
+
+    Parameters
+    ----------
+    chosen : ndarray of bool, any shape
+        True where a pixel is chosen.
+
+    Returns
+    -------
+    ndarray of int64, shape (chosen,)
+        Their places in the array, ascending.
+    """
+    if chosen.all():  # numbering them takes a tenth of the time of looking for them
+        return np.arange(chosen.size, dtype=np.int64)
+    return np.flatnonzero(chosen)
+
+
 def photon_sums(light: NDArray[Any]) -> NDArray[np.float64]:
     """Return the counts of each pixel.
 

@@ -690,10 +690,10 @@ class Instrument(_Section, frozen=True, forbid_unknown_fields=True, kw_only=True
             Half the gap, ns; infinite for a single pulse without a period.
         """
         period = self.timing.period_ns
-        starts = np.sort([delay for band in self.bands for delay in band.delays_ns])
+        starts = sorted(float(delay) for band in self.bands for delay in band.delays_ns)
         if period is not None:
-            starts = np.append(starts, starts[0] + period)
-        return float(np.diff(starts).min()) / 2 if starts.size > 1 else inf
+            starts.append(starts[0] + period)
+        return min((late - early for early, late in itertools.pairwise(starts)), default=inf) / 2
 
     # -- geometry -----------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from hueflight.calibration import Calibration
 from hueflight.calibration.calibration import FEWEST_EXPOSURES
 from hueflight.fit.assessment import MISFIT, SCORE_STEP, tails
 from hueflight.fit.reference import Fit
-from hueflight.fit.solver import compiled_kernel
+from hueflight.fit.solver import compiled_kernel, pixel_numbers
 from hueflight.model.pileup import lost_photons_factor, periods_per_exposure
 from hueflight.reconstruction.conversion_rules import UNTOLD, Conversion, base_flags
 from hueflight.reconstruction.deviations import (
@@ -68,11 +68,14 @@ def put(
     """
     kernel = cast("Any", compiled_kernel(conversion.calibration.brightness.size))
     given = _arguments(conversion)
-    places = np.flatnonzero(changed)
-    fitted = chosen.reshape(-1)[places]
-    numbers = np.cumsum(fitted)
-    numbers -= 1
-    numbers[~fitted] = -1
+    places = pixel_numbers(changed)
+    fitted = chosen[changed]
+    if fitted.all():
+        numbers = np.arange(fitted.size)
+    else:
+        numbers = np.cumsum(fitted)
+        numbers -= 1
+        numbers[~fitted] = -1
     fits = {
         name: np.ascontiguousarray(values, np.float64)
         for name, values in found.arrays().items()
@@ -85,7 +88,7 @@ def put(
         *VERDICTS.arguments(
             rules=rules,
             **delays,
-            meters_per_ns=given["meters_per_ns"][places[fitted]],
+            meters_per_ns=given["meters_per_ns"].reshape(chosen.shape)[changed & chosen],
             flags=flags,
             tally=tally,
         )

@@ -107,7 +107,7 @@ def as_image(
             for name, values in found.items()
         }
         kept[key] = _labeled(empty, calibration, method, range_correction, exposures_known)
-    return like_image(kept[key], estimates)
+    return _with_values(kept[key], found)
 
 
 def _labeled(
@@ -179,12 +179,16 @@ def like_image(image: xr.Dataset, estimates: Estimates) -> xr.Dataset:
     Dataset
         Image as `as_image` gives it.
     """
-    found = _arrays(estimates)
+    return _with_values(image, _arrays(estimates))
+
+
+def _with_values(image: xr.Dataset, found: dict[str, NDArray[Any]]) -> xr.Dataset:
+    """Return an image with other values, by name."""
     new = image.copy(data={name: found[str(name)] for name in image.data_vars})
-    for name in image.coords:  # which copying leaves as they are
-        if name not in image.indexes:
-            variable = new.variables[name]
-            variable.data = found[str(name)] if name in found else variable.values.copy()
+    variables = new.variables
+    for name in image.coords.keys() - image.indexes.keys():  # which copying leaves as they are
+        variable = variables[name]
+        variable.data = found[str(name)] if name in found else variable.values.copy()
     return new
 
 

@@ -16,7 +16,7 @@ from hueflight.errors import HueflightError
 from hueflight.fit.assessment import LARGEST_LOSS, wavelength_contrasts
 from hueflight.fit.reference import Fit, no_fit
 from hueflight.fit.smoothed_assessment import smoothed_misfit, smoothed_score
-from hueflight.fit.solver import fit_pixels
+from hueflight.fit.solver import fit_pixels, pixel_numbers
 from hueflight.fit.tables import (
     ModelTables,
     ScheduleView,
@@ -277,7 +277,7 @@ def fit_chosen(
     Fit
         Result of the chosen pixels.
     """
-    pixels = np.flatnonzero(chosen)
+    pixels = pixel_numbers(chosen)
     delays_ns = calibration.pixel_delay_ns[chosen]
     rates = None
     if frames is not None:

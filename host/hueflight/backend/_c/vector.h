@@ -30,14 +30,17 @@ INLINE vec choose(ivec mask, vec yes, vec no)
  * 12 bits or more become full ones by a step of Newton's method. */
 #if defined(__AVX512F__) && LANES == 16
 #define REGISTER __m512
+#define DOUBLES __m512d
 #define INTRINSIC(NAME) _mm512_##NAME
 #define ESTIMATE(NAME) _mm512_##NAME##14_ps
 #elif defined(__AVX2__) && LANES == 8
 #define REGISTER __m256
+#define DOUBLES __m256d
 #define INTRINSIC(NAME) _mm256_##NAME
 #define ESTIMATE(NAME) _mm256_##NAME##_ps
 #elif defined(__SSE2__) && LANES == 4
 #define REGISTER __m128
+#define DOUBLES __m128d
 #define INTRINSIC(NAME) _mm_##NAME
 #define ESTIMATE(NAME) _mm_##NAME##_ps
 #endif

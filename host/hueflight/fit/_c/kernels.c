@@ -26,6 +26,7 @@
 #include "change_detection.h"
 #include "correlation.h"
 #include "paper.h"
+#include "doubles.h"
 #include "deviations.h"
 #include "conversion.h"
 #include "edges.h"
@@ -414,6 +415,8 @@ static PyObject *py_changes(PyObject *self, PyObject *args)
     return end(&call, begin(&call, args, CHANGES_BUFFERS, CHANGES_READS) && run_changes(&call));
 }
 
+enum { FETCHED_AHEAD = 7 << 10 }; /* bytes of counts before those that are summed */
+
 static int run_sums(Call *call)
 {
     const Py_buffer *held = call->held;
@@ -424,10 +427,11 @@ static int run_sums(Call *call)
         return refuse("sums: buffers do not fit one another");
     double *all = held[SUMS_ALL].buf, *inside = held[SUMS_INSIDE].buf;
     uint8_t *full = held[SUMS_FULL].buf;
+    size_t ahead = 1 + FETCHED_AHEAD / (size_t)(bins * (call->light.type == 'H' ? 2 : 4) + 1);
     Py_BEGIN_ALLOW_THREADS
     for (size_t i = 0; i < call->pixels; i++) {
-        if (i + 4 < call->pixels)
-            fetch_row(&call->light, row_of(&call->light, (size_t)call->which[i + 4]), bins);
+        if (i + ahead < call->pixels)
+            fetch_row(&call->light, row_of(&call->light, (size_t)call->which[i + ahead]), bins);
         sum_counts(&call->light, (size_t)call->which[i], bins, (int)span[0], (int)span[1], all + i,
                    inside + i, full + i);
     }

@@ -124,10 +124,8 @@ static int read_conversion(const Call *call, Conversion *c)
                       .first_in_cell = held[PICTURE_LUCK_CELLS].buf,
                       .lucks = (int)(held[PICTURE_LUCK].len / 16),
                       .scores = (int)(held[PICTURE_TAILS].len / 8)};
-    c->all = (Bands){(int)bands, c->rules.misfit, held[PICTURE_INVERSE].buf,
-                     held[PICTURE_UNCERTAINTY].buf};
-    c->information = (Information){(int)bands, *scale, held[PICTURE_TABLE].buf,
-                                   held[PICTURE_PLACEMENT].buf};
+    c->all = (Bands){.bands = (int)bands, .misfit = (float)c->rules.misfit};
+    c->information = (Information){(int)bands, *scale, held[PICTURE_TABLE].buf, {0}};
     c->fits.flags = held[PICTURE_FLAGS].buf;
     c->fits.amplitudes = held[PICTURE_AMPLITUDES].buf;
     c->fits.amplitude_std = held[PICTURE_AMPLITUDE_STD].buf;
@@ -150,6 +148,10 @@ static int run_picture(Call *call)
     Conversion conversion;
     if (!read_conversion(call, &conversion))
         return refuse("picture: buffers do not fit one another");
+    size_t bands = (size_t)conversion.all.bands;
+    narrow(call->held[PICTURE_INVERSE].buf, bands, conversion.all.inverse);
+    narrow(call->held[PICTURE_UNCERTAINTY].buf, bands, conversion.all.uncertainty);
+    memcpy(conversion.information.placement, call->held[PICTURE_PLACEMENT].buf, bands * sizeof(float));
     const int64_t *places = call->held[PICTURE_PLACES].buf, *fits = call->held[PICTURE_FITS].buf;
     size_t pixels = (size_t)call->held[PICTURE_PLACES].len / 8;
     Py_BEGIN_ALLOW_THREADS

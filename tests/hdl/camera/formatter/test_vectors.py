@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hueflight_hdl.camera.formatter.reference import SensorFrame
+from hueflight_hdl.camera.formatter.reference import SensorFrame, expected_packets
 from hueflight_hdl.camera.frame_format import FrameFormat
 from hueflight_protocol import FRAME_HEADER, PACKET_HEADER, Frame, PacketParser, encode_frame
 
@@ -104,3 +104,18 @@ def test_messages(step_through):
     for packet, vector in zip(packets, MESSAGES, strict=True):
         assert unsealed(packet.data) == unsealed(vector)
     assert PACKET_HEADER.offset("sequence") == FRAME_HEADER.offset("sequence")
+
+
+def test_messages_and_frames_take_turns(step_through, draw_codes):
+    """However many messages wait, none of two follows the other while a frame does."""
+    form = FrameFormat(rows=2, cols=8, run=8)
+    rng = np.random.default_rng(12)
+    frames = [SensorFrame(draw_codes(rng, form, 0.5)) for _ in range(4)]
+    waiting = 6 * MESSAGES
+    words = sum(map(len, [*waiting, expected_packets(form, frames)])) // 8
+    got = step_through(form, frames, words=words, messages=map(unsealed, waiting))
+    contents = [packet.content for packet in PacketParser().feed(got)]
+    places = [place for place, content in enumerate(contents) if isinstance(content, Frame)]
+    assert len(contents) == len(waiting) + len(frames)
+    assert np.diff(places).max() <= 2
+    assert places[-1] < len(contents) // 2

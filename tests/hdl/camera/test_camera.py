@@ -104,6 +104,7 @@ def test_capture_is_delivered_and_told_of(small):
     assert report.aborted == 0
     assert camera.read("hits")["value"] == sum(np.count_nonzero(f.codes) for f in frames)
     assert camera.read("periods")["value"] == 9 * 4
+    assert camera.read("sequence")["value"] == len(packets)
 
 
 def test_triggers_that_the_illuminator_missed_are_counted_and_told(small):

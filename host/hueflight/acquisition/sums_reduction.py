@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 
 from hueflight.calibration import Calibration
@@ -15,10 +17,18 @@ from hueflight.recording.recorded_sums import ATTACHMENT, SumsDescription
 from hueflight_protocol import ReductionRoom
 
 LEAST_PHOTONS = 1000  #: that sums of a picture hold without saturation, at least
+LOAD = 16e6  #: bytes per second that sums may take where windows are shorter than a picture
+LEAST_FRAMES = 240  #: of a window: about as many blocks as a camera ends one after another
+PACKET_SHARE = 1.08  #: of the sums that they take with headers of packets
 
 
 def reduction_of(
-    calibration: Calibration, /, *, picture_frames: int, room: ReductionRoom | None = None
+    calibration: Calibration,
+    /,
+    *,
+    picture_frames: int,
+    room: ReductionRoom | None = None,
+    rate_hz: float | None = None,
 ) -> Reduction:
     """Return what a camera is to make of its codes, by a calibration.
 
@@ -29,7 +39,11 @@ def reduction_of(
     picture_frames : int
         Frames of a picture.
     room : ReductionRoom, optional
-        What the camera has room for; by default all that the protocol allows.
+        What the camera has room for; by default all that the protocol allows. Where sums of a
+        picture would not fit it, the camera sends them more often, since sums of fewer frames are
+        more precise in as many bits; they are added up to pictures.
+    rate_hz : float, optional
+        Frames per second, which limits how often they are sent; by default those of the instrument.
 
     Returns
     -------
@@ -48,11 +62,15 @@ def reduction_of(
     design = design_sums(calibration, sums=wanted, entry_bits=entry_bits, most_photons=most_photons)
     widths = room.widths[:wanted]
     if any(width > most for width, most in zip(design.tables.widths, widths, strict=True)):
+        sensor = calibration.instrument.sensor
+        bytes_per_window = PACKET_SHARE * sensor.rows * sensor.cols * sum(widths) / 8
+        least = ceil((rate_hz or sensor.usual_frame_rate_hz) * bytes_per_window / LOAD)
+        picture_frames = min(picture_frames, max(LEAST_FRAMES, least))
         # a pixel reports a photon per frame at most
         if picture_frames + 2 > 1 << room.sum_bits:
             raise HueflightError(
                 f"sums of {picture_frames} frames need {(picture_frames + 1).bit_length()} bits, "
-                f"the camera has room for {room.sum_bits}: ask for more pictures per second"
+                f"the camera has room for {room.sum_bits}: ask for fewer frames per second"
             )
         design = design_sums(
             calibration, sums=wanted, entry_bits=entry_bits, most_photons=picture_frames,

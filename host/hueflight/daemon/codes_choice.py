@@ -283,8 +283,9 @@ class CodesChoice:
                 return True
         try:
             reduction = reduction_of(
-                calibration, picture_frames=frames, room=snapshot.reduction_room
-            )
+                calibration, picture_frames=frames, room=snapshot.reduction_room,
+                rate_hz=self._settings().rate_hz,
+            )  # fmt: skip
         except HueflightError as error:
             self._refused, self._refusal = wanted, str(error)
             return False

@@ -282,8 +282,8 @@ class Pictures:
 
     def _make_sums_window(self, settings: PictureSettings) -> SumsWindow:
         if settings.integration_s == 0:
-            frames = settings.frames
-            return SumsWindow(-(-frames // self._block_frames) if frames else self._window_blocks)
+            frames = settings.frames or self._window_blocks * self._block_frames
+            return SumsWindow(-(-frames // self._block_frames), frames)
         seconds = self._seconds(settings)
         return GatheredSums(None if math.isinf(seconds) else max(1, round(seconds * self._rate_hz)))
 

@@ -18,12 +18,14 @@ from hueflight.devices.reduction import Reduction
 from hueflight.errors import HistogramError
 from hueflight.ingest.scene_change import of_pixels, of_tiles
 from hueflight.ingest.tile_history import TileHistory
-from hueflight.reconstruction.sums.changes import SumsContrasts
+from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
+from hueflight.reconstruction.sums.changes import SumsContrasts, unnoticed_shift_ns
 from hueflight.reconstruction.sums.design import SumsDesign
 from hueflight.reconstruction.sums.method import reconstruct_sums
 from hueflight_protocol import SumsPicture
 from hueflight_protocol.reduction import MOST_SUM_BITS, ReductionTables
 
+UNNOTICED = "unnoticed_depth_change"  #: attribute of images in which photons add up
 MOST = (1 << MOST_SUM_BITS) - 1  #: of a sum of several pictures, and the value of saturated ones
 
 
@@ -60,6 +62,9 @@ class SumsWindow:
     ----------
     length : int
         Pictures in the sum.
+    frames : int, optional
+        Frames that the sum is to hold, at least: where the camera sends sums of another number of
+        frames, as many pictures as that takes are in the sum, whatever `length` says.
 
     Attributes
     ----------
@@ -67,14 +72,18 @@ class SumsWindow:
         Pictures in the sum.
     """
 
-    def __init__(self, length: int) -> None:
+    def __init__(self, length: int, frames: int | None = None) -> None:
+        self._frames = frames
+        self._set_length(length)
+        self._parts: deque[_Part] = deque()
+        self._newest: LiveSums | None = None
+        self._wide: ReductionTables | None = None  # of a sum of several pictures
+
+    def _set_length(self, length: int) -> None:
         self.length = length
         self._of_part = -(-length // PARTS)
         # of a window of parts, the newest one is not complete yet
         self._most_parts = -(-length // self._of_part) + (self._of_part > 1)
-        self._parts: deque[_Part] = deque()
-        self._newest: LiveSums | None = None
-        self._wide: ReductionTables | None = None  # of a sum of several pictures
 
     @property
     def frames_by_pixel(self) -> NDArray[np.int64]:
@@ -104,6 +113,8 @@ class SumsWindow:
         HistogramError
             If a picture has sums of other tables than the camera was given.
         """
+        if pictures and self._frames is not None:
+            self._set_length(-(-self._frames // pictures[-1].reduction.frames))
         for picture in pictures[-self.length :]:
             before = self._newest
             if before is not None and (before.run, before.reduction) != (
@@ -262,6 +273,29 @@ class GatheredSums(SumsWindow):
             self._young.add(newest)
             self._young_tiles = np.where(changed, 0.0, self._young_tiles) + tile_frames
             self._young_frames += frames
+
+    def reconstruct(self, calibration: Calibration, /) -> xr.Dataset:
+        """Reconstruct depth and reflectance from the sum; see `SumsWindow.reconstruct`.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            Calibration of the same instrument.
+
+        Returns
+        -------
+        Dataset
+            The image. Its attribute `UNNOTICED` states by how much, in metres, a surface may have
+            moved without its tile beginning anew.
+        """
+        image = super().reconstruct(calibration)
+        assert self._newest is not None
+        reduction = self._newest.reduction
+        shift_ns = unnoticed_shift_ns(
+            calibration, reduction.tables, reduction.middle_ns, reduction.reach_ns
+        )
+        image.attrs[UNNOTICED] = shift_ns * SPEED_OF_LIGHT_M_PER_NS / 2
+        return image
 
     def _begin_half(self, like: _Part, tile_frames: NDArray[np.float64]) -> None:
         if self._limit is not None:

@@ -219,6 +219,23 @@ def test_tables_fit_the_room_of_the_camera(calibration: hf.Calibration) -> None:
         reduction_of(calibration, picture_frames=600, room=ReductionRoom(15, 8, 10))
 
 
+def test_sums_of_little_room_are_sent_more_often_and_added_up(
+    instrument: hf.Instrument, calibration: hf.Calibration, draw: Callable[..., Any]
+) -> None:
+    """At the load that 18,600 frames per second of the paper's sensor would have."""
+    room = ReductionRoom(12, 3, 10, 8, narrow=8)
+    rate_hz = 18_600 * 192 * 128 / np.prod(instrument.image_shape)
+    found = reduction_of(calibration, picture_frames=620, room=room, rate_hz=rate_hz)
+    assert found.frames == 433
+    assert all(w <= most for w, most in zip(found.tables.widths, room.widths, strict=True))
+    assert found.tables.widths[0] == 9  # counts 433 photons
+    window = SumsWindow(1, frames=620)
+    counts = draw(instrument, photons=150, frames=433)
+    window.add_all([picture_of(counts, instrument, found) for _ in range(4)])
+    assert (window.frames_by_pixel == 2 * 433).all()
+    assert window.reconstruct(calibration)["depth"].notnull().all()
+
+
 def test_codes_are_sent_where_the_link_carries_them(paper: hf.Instrument) -> None:
     sensor, usb = paper.sensor, LINKS["USB 2"]
 

@@ -15,7 +15,7 @@ from scipy.stats import norm
 import hueflight as hf
 from hueflight.acquisition.snapshot import LiveSums
 from hueflight.acquisition.sums_reduction import reduction_of
-from hueflight.daemon.sums_window import MOST, GatheredSums
+from hueflight.daemon.sums_window import MOST, UNNOTICED, GatheredSums
 from hueflight.devices.reduction import Reduction
 from hueflight.ingest.scene_change import BRIGHTNESS_TOLERANCE
 from hueflight.ingest.sums_blocks import SumsBlocks
@@ -168,6 +168,25 @@ def test_a_tile_begins_anew_before_its_sums_are_full(
     window.add_all(others)
     assert (window.frames_by_pixel[4:8, 4:8] == 2 * FRAMES).all()
     assert (window.frames_by_pixel[0:4] == 3 * FRAMES).all()
+
+
+def test_a_picture_states_which_change_of_depth_would_go_unnoticed(
+    camera: hf.Instrument, calibration: hf.Calibration, reduction: Reduction, draw: Draw
+) -> None:
+    """With so many photons that chance plays no part, a step of more is always told."""
+    many: dict[str, Any] = {"photons": 1e6, "frames": 10**8}
+    window = GatheredSums()
+    wide = replace(reduction.tables, widths=(32,) * reduction.tables.sums)
+    reduction = replace(reduction, tables=wide)
+    first = pictures_of([draw(camera, depth=0.5, seed=1, **many)], camera, reduction)
+    window.add_all(first)
+    most = window.reconstruct(calibration).attrs[UNNOTICED]
+    assert 0.01 < most < 0.05
+    for step, anew in ((0.1 * most, False), (1.3 * most, True)):
+        window.clear()
+        moved = draw(camera, depth=0.5 + step, seed=2, **many)
+        window.add_all([*first, *pictures_of([moved], camera, reduction)])
+        assert (window.frames_by_pixel == FRAMES * (1 if anew else 2)).all()
 
 
 @pytest.mark.parametrize("photons", [2.0, 30.0, 500.0])

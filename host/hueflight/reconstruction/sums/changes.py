@@ -16,11 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from hueflight.ingest.scene_change import BRIGHTNESS_TOLERANCE, SHIFT_TOLERANCE
+from hueflight.calibration import Calibration
+from hueflight.ingest.scene_change import BRIGHTNESS_TOLERANCE, SHIFT_TOLERANCE, SIGMA
 from hueflight.reconstruction.sums.design import MORE_SUMS
 from hueflight_protocol.reduction import ReductionTables
 
 GROUP_CODES = 4  #: in whose groups `SHIFT_TOLERANCE` counts
+MANY_PHOTONS = 1e12  #: of which no change is chance
+SHIFT_STEP_NS, SHIFT_STEPS, SHIFT_STARTS = 0.02, 60, 7  #: shifts and delays that are tried
 
 
 class SumsContrasts:
@@ -123,6 +126,45 @@ class SumsContrasts:
         spread = variance + jump * beyond / 3
         found = np.divide(beyond**2, spread, out=np.zeros(spread.shape), where=spread > 0)
         return np.sqrt(found.max(axis=-1))
+
+
+@lru_cache(maxsize=4)
+def unnoticed_shift_ns(
+    calibration: Calibration, tables: ReductionTables, middle_ns: float, reach_ns: float, /
+) -> float:
+    """Return by how much the delay of a white surface can change without being told from drift.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Calibration that the tables were designed from.
+    tables : ReductionTables
+        Tables of the sums.
+    middle_ns, reach_ns : float
+        Delays that the tables are for, as `SumsDesign` has them.
+
+    Returns
+    -------
+    float
+        Greatest such change, ns, from any delay that the tables are for, in either direction, of
+        any number of photons; at most as much as they reach.
+    """
+    contrasts, bins = SumsContrasts.of(tables), calibration.bins
+    entries = tables.entries[:, bins.codes].astype(np.float64)
+    white = calibration.brightness / calibration.brightness.sum()
+    shifts_ns = np.append(0.0, np.geomspace(SHIFT_STEP_NS, 2 * reach_ns, SHIFT_STEPS))
+    worst = 0.0
+    for start_ns in np.linspace(-reach_ns, reach_ns, SHIFT_STARTS):
+        for sign in (-1.0, 1.0):
+            delays_ns = start_ns + sign * shifts_ns
+            delays_ns = middle_ns + delays_ns[np.abs(delays_ns) <= reach_ns]
+            shares = calibration.templates.shares(bins.edges_ns, delays_ns[:, None])
+            sums = MANY_PHOTONS * (np.tensordot(white, shares, 1) @ entries.T)[:, None]
+            before = np.broadcast_to(sums[:1], sums.shape)
+            found = contrasts.compare(sums, before, np.ones(sums.shape[:2]), 1) > SIGMA
+            if found.any():
+                worst = max(worst, float(shifts_ns[found.argmax()]))
+    return worst or reach_ns
 
 
 def _bound(tables: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:

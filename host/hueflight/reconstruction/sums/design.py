@@ -26,6 +26,7 @@ from hueflight.errors import HueflightError
 from hueflight.model.instrument import SPEED_OF_LIGHT_M_PER_NS
 from hueflight.reconstruction.bounds import fisher_information
 from hueflight.reconstruction.joint import search_range_ns
+from hueflight.reconstruction.sums.coarse_tables import HEADROOM, Light, TableSearch
 from hueflight_protocol.reduction import MOST_ENTRY_BITS, MOST_SUM_BITS, MOST_SUMS, ReductionTables
 
 REACH_NS = 6.0  #: delays either way that tables are designed for
@@ -36,8 +37,11 @@ DARK = 0.1  #: reflectance of the other bands where a third of the bands is brig
 AMPLITUDE_WEIGHT = 1 / 3  #: of an amplitude's score against that of the delay
 MORE_SUMS = 6  #: than bands
 ENTRY_BITS = 8  #: of an entry of the tables
-SCALE_STEP = 0.1  #: of the greatest entry, where entries are made to fit
-HEADROOM = 5.0  #: standard deviations of a sum above its greatest mean that its width holds
+COARSE_DELAYS = np.array([-1.0, -0.5, -0.22, 0.02, 0.23, 0.52, 1.0])
+"""Delays of the search for coarse tables, by how far tables reach: close where most depths are."""
+COARSE_BACKGROUNDS = (0.1, 1.0)
+TYPICAL_BACKGROUND = 0.3  #: photons per photon of signal in the scores that the search begins at
+NEAR_NS, CLOSE_NS = 2.0, 0.5  #: delays over which scores are averaged, and for differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +101,9 @@ def design_sums(
     most_photons : float, optional
         Photons of a pixel and picture, of which no sum saturates; it decides their widths.
     most_widths : sequence of int, optional
-        Bits that there is room for, of each sum. Entries are smaller, and keep less, where a sum
-        would not fit.
+        Bits that there is room for, of each sum. If sums would not fit, tables of smaller entries
+        are searched for (see `coarse_tables`), which takes some seconds; a pixel must then never
+        have more than `most_photons`.
 
     Returns
     -------
@@ -121,14 +126,15 @@ def design_sums(
     if not 1 <= most_photons <= 2**30:
         raise HueflightError(f"most_photons = {most_photons!r}: must be from 1 to {2**30}")
     middle_ns, reach_ns = _range_of(calibration, depth_range)
-    rows = _principal_scores(calibration, middle_ns, reach_ns, sums)
-    rounded = _rounded(rows, entry_bits)
-    if most_widths is None:
-        widths = _widths(rounded, calibration, middle_ns, reach_ns, most_photons)
-    else:
-        conditions = np.array([mean for mean, _ in _conditions(calibration, middle_ns, reach_ns)])
-        rounded = _fitted(rows, rounded, conditions, most_photons, most_widths)
-        widths = tuple(most_widths)
+    rounded = _rounded(_principal_scores(calibration, middle_ns, reach_ns, sums), entry_bits)
+    widths = _widths(rounded, calibration, middle_ns, reach_ns, most_photons)
+    if most_widths is not None:
+        if len(most_widths) != sums:
+            raise HueflightError(f"most_widths = {most_widths!r}: must be {sums} numbers")
+        if any(width > most for width, most in zip(widths, most_widths, strict=True)):
+            rounded, widths = _coarse(
+                calibration, middle_ns, reach_ns, entry_bits, most_photons, most_widths
+            )
     codes = calibration.bins.codes
     entries = np.zeros((sums, 1 << calibration.instrument.sensor.code_bits), np.uint16)
     entries[:, codes] = rounded
@@ -172,19 +178,27 @@ def _colors(bands: int) -> list[NDArray[np.float64]]:
     return colors
 
 
-def _conditions(
+def _all_conditions(
     calibration: Calibration, middle_ns: float, reach_ns: float
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Conditions at all delays and backgrounds of the design."""
+    steps = max(1, ceil(reach_ns / STEP_NS))
+    delays_ns = middle_ns + np.linspace(-reach_ns, reach_ns, 2 * steps + 1)
+    return _conditions(calibration, delays_ns, BACKGROUNDS)
+
+
+def _conditions(
+    calibration: Calibration, delays_ns: NDArray[np.float64], backgrounds: Sequence[float]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Expected light of one photon (bin,), and derivatives by the parameters (parameter, bin)."""
     widths = calibration.bins.widths_ns / calibration.bins.span_ns
-    steps = max(1, ceil(reach_ns / STEP_NS))
-    for delay_ns in middle_ns + np.linspace(-reach_ns, reach_ns, 2 * steps + 1):
+    for delay_ns in delays_ns:
         shares = calibration.templates.shares(calibration.bins.edges_ns, delay_ns)
         slopes = calibration.templates.slopes(calibration.bins.edges_ns, delay_ns)
         for color in _colors(len(shares)):
             signal = calibration.brightness * color
             signal = signal / signal.sum()
-            for background in BACKGROUNDS:
+            for background in backgrounds:
                 total = 1 + background
                 mean = (signal @ shares + background * widths) / total
                 yield mean, np.vstack([signal @ slopes, shares, widths]) / total
@@ -195,7 +209,7 @@ def _principal_scores(
 ) -> NDArray[np.float64]:
     """Ones, and the principal components of the efficient scores, (sum, bin)."""
     widths = calibration.bins.widths_ns / calibration.bins.span_ns
-    conditions = list(_conditions(calibration, middle_ns, reach_ns))
+    conditions = list(_all_conditions(calibration, middle_ns, reach_ns))
     # bins that nothing reaches count as the background does
     metric = np.maximum(np.mean([mean for mean, _ in conditions], axis=0), 1e-3 * widths)
     root = np.sqrt(metric)
@@ -225,40 +239,57 @@ def _rounded(rows: NDArray[np.float64], entry_bits: int) -> NDArray[np.uint16]:
     return np.rint((rows - low) / span * most).astype(np.uint16)
 
 
-def _fitted(
-    rows: NDArray[np.float64],
-    rounded: NDArray[np.uint16],
-    conditions: NDArray[np.float64],
+def _coarse(
+    calibration: Calibration,
+    middle_ns: float,
+    reach_ns: float,
+    entry_bits: int,
     photons: float,
     widths: Sequence[int],
-) -> NDArray[np.uint16]:
-    """Tables with the largest entries, none above those given, whose sums fit their widths.
-
-    A row may be turned over, which loses nothing either.
-    """
-    if len(widths) != len(rows) or photons + 2 > 1 << widths[0]:
+) -> tuple[NDArray[np.uint16], tuple[int, ...]]:
+    """Tables whose sums fit their widths, and the bits that they need."""
+    sums = len(widths)
+    if photons + 2 > 1 << widths[0]:
         raise HueflightError(
-            f"most_widths = {widths!r}: must be {len(rows)} numbers, the first one at least "
-            f"{ceil(log2(photons + 2))} bits, to count {photons:g} photons"
+            f"most_widths = {widths!r}: the first must be at least {ceil(log2(photons + 2))} bits, "
+            f"to count {photons:g} photons"
         )
-    found = [rounded[0]]
-    for row, given, width in zip(rows[1:], rounded[1:], widths[1:], strict=True):
-        best = np.zeros_like(given)
-        for shape in (row - row.min(), row.max() - row):
-            for most in np.arange(float(given.max()), 0, -SCALE_STEP):
-                entries = np.rint(shape * (most / shape.max()))
-                mean, spread = conditions @ entries, conditions @ entries**2
-                greatest = photons * mean + HEADROOM * np.sqrt(photons * spread)
-                if greatest.max() + 2 <= 1 << width:
-                    best = max(best, entries.astype(np.uint16), key=np.max)
-                    break
-        if not best.any():
-            raise HueflightError(
-                f"most_widths = {widths!r}: {width} bits hold no sum of {photons:g} photons; ask "
-                "for more pictures per second"
-            )
-        found.append(best)
-    return np.array(found)
+    chosen = _conditions(calibration, middle_ns + reach_ns * COARSE_DELAYS, COARSE_BACKGROUNDS)
+    means, derivatives = (np.array(each) for each in zip(*chosen, strict=True))
+    delays_ns = middle_ns + np.linspace(-reach_ns, reach_ns, COARSE_DELAYS.size)
+    bright = _conditions(calibration, delays_ns, COARSE_BACKGROUNDS)
+    greatest = np.array([mean for mean, _ in bright])
+    light = Light(means, derivatives, greatest)
+    search = TableSearch(light, photons, widths, (1 << entry_bits) - 1)
+    entries = search.run(_local_scores(calibration, middle_ns, sums))
+    return entries, tuple(
+        min(width, max(1, ceil(log2(value + 2))))
+        for width, value in zip(widths, search.greatest_sums(entries * 1.0), strict=True)
+    )
+
+
+def _local_scores(calibration: Calibration, middle_ns: float, sums: int) -> NDArray[np.float64]:
+    """Ones, scores of the delay, and those of each band, which are 0 but for its light.
+
+    There are two or more of the delay: the first derivative, for groups of bands if there are more,
+    and the second one.
+    """
+    bins, white = calibration.bins, calibration.brightness / calibration.brightness.sum()
+
+    def light(delay_ns: float) -> NDArray[np.float64]:
+        return calibration.templates.shares(bins.edges_ns, middle_ns + delay_ns)
+
+    dark = TYPICAL_BACKGROUND * bins.widths_ns / bins.span_ns
+    shares = light(0.0)
+    slopes = calibration.templates.slopes(bins.edges_ns, middle_ns)
+    mean = white @ shares + dark
+    groups = np.array_split(np.arange(len(shares)), max(1, sums - len(shares) - 2))
+    first = [white[group] @ slopes[group] / mean for group in groups]
+    second = white @ (light(CLOSE_NS) + light(-CLOSE_NS) - 2 * shares) / mean
+    near = [light(delay_ns) for delay_ns in np.linspace(-NEAR_NS, NEAR_NS, 5)]
+    bands = sum(each / (white @ each + dark) for each in near)
+    rows = np.vstack([*first, second, bands])
+    return np.vstack([np.ones_like(mean), rows - rows.min(axis=1, keepdims=True)])
 
 
 def _widths(
@@ -271,7 +302,7 @@ def _widths(
     """Bits that hold each sum of so many photons under every condition."""
     entries = rounded.astype(np.float64)
     most = np.zeros(len(entries))
-    for mean, _ in _conditions(calibration, middle_ns, reach_ns):
+    for mean, _ in _all_conditions(calibration, middle_ns, reach_ns):
         sum_mean = most_photons * entries @ mean
         most = np.maximum(most, sum_mean + HEADROOM * np.sqrt(most_photons * entries**2 @ mean))
     return tuple(min(MOST_SUM_BITS, ceil(log2(value + 2))) for value in most)

@@ -215,8 +215,8 @@ def test_sums_of_other_tables_are_refused(
 def test_tables_fit_the_room_of_the_camera(calibration: hf.Calibration) -> None:
     found = reduction_of(calibration, picture_frames=600, room=ReductionRoom(12, 3, 16))
     assert (found.tables.sums, found.tables.entry_bits) == (12, 3)
-    with pytest.raises(HueflightError, match="the camera has room for 10"):
-        reduction_of(calibration, picture_frames=600, room=ReductionRoom(15, 8, 10))
+    with pytest.raises(HueflightError, match="the camera has room for 7"):
+        reduction_of(calibration, picture_frames=600, room=ReductionRoom(15, 8, 7))
 
 
 def test_sums_of_little_room_are_sent_more_often_and_added_up(
@@ -226,13 +226,13 @@ def test_sums_of_little_room_are_sent_more_often_and_added_up(
     room = ReductionRoom(12, 3, 10, 8, narrow=8)
     rate_hz = 18_600 * 192 * 128 / np.prod(instrument.image_shape)
     found = reduction_of(calibration, picture_frames=620, room=room, rate_hz=rate_hz)
-    assert found.frames == 433
+    assert found.frames == 432
     assert all(w <= most for w, most in zip(found.tables.widths, room.widths, strict=True))
-    assert found.tables.widths[0] == 9  # counts 433 photons
+    assert found.tables.widths[0] == 9  # counts 432 photons
     window = SumsWindow(1, frames=620)
-    counts = draw(instrument, photons=150, frames=433)
+    counts = draw(instrument, photons=150, frames=432)
     window.add_all([picture_of(counts, instrument, found) for _ in range(4)])
-    assert (window.frames_by_pixel == 2 * 433).all()
+    assert (window.frames_by_pixel == 2 * 1000).all()  # as `picture_of` states
     assert window.reconstruct(calibration)["depth"].notnull().all()
 
 

@@ -25,7 +25,7 @@ from scipy.optimize import minimize
 
 from hueflight.errors import HueflightError
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating]
 
 AMPLITUDE_WEIGHT = 0.1  #: of the loss of an amplitude against that of the delay
 HEADROOM = 5.0  #: standard deviations of a sum above its greatest mean that its width holds

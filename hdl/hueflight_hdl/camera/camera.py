@@ -336,7 +336,7 @@ class Camera(wiring.Component):
 
     def _capture(self, m: Module) -> Signal:
         """Return the label of the capture, as it was when the capture began."""
-        capture = Signal(32)
+        capture = Signal.like(self._registers.capture.value)
         with m.If(self._exposure.began):
             m.d.sync += capture.eq(self._registers.capture.value)
         return capture

@@ -216,6 +216,18 @@ def test_every_step_of_memories_made_of_luts():
     assert same(program_part(run.trains, program)[: len(units)], units)
 
 
+def test_leds_are_dark_while_the_next_step_is_looked_for():
+    """Behind many empty steps it comes late; the step that has ended does not go on meanwhile."""
+    empty = [Step(0, 0, Choice(0, 7, 9))] * 28
+    program = [Step(2, 0, Choice(0, 1, 1)), *empty, Step(3, 0, Choice(0, 2, 2))]
+    bench = PulseTestbench(replace(small_config(4), steps=32))
+    found = program_part(play(bench, program, clocks=16 * 30, trigger_clocks=16).trains, program)
+    dark = next(i for i, train in enumerate(found[2:]) if train.mask)
+    assert 0 < dark < 10
+    assert same(found[: 2 + dark + 3], program_units(program[:1]) + [Choice(0, 0, 0)] * dark
+                + program_units(program[-1:]))  # fmt: skip
+
+
 def test_frame_syncs_step_the_program(bench: Make):
     """Steps last from one frame sync to another; the first sync begins."""
     frames = tuple(range(300, 2300, 137))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ NUMBERS = (
     "periods",
     "code_bits",
 )
+
+ALL_FLAGS = int(sum(FrameFlags))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -87,8 +90,14 @@ class Sums:
 
 
 def _saturated(values: NDArray[np.uint32], widths: tuple[int, ...]) -> int:
-    limits = np.array([(1 << width) - 1 for width in widths], np.uint64)
-    return int((values == limits).any(axis=1).sum())
+    reached = values == _greatest(widths)
+    return int(np.count_nonzero(reached.any(axis=1))) if reached.any() else 0
+
+
+@lru_cache(maxsize=8)
+def _greatest(widths: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Greatest value of each sum."""
+    return np.array([(1 << width) - 1 for width in widths], np.uint32)
 
 
 def _bits(values: NDArray[np.uint32], widths: tuple[int, ...]) -> NDArray[np.uint8]:
@@ -176,7 +185,7 @@ def unpack_sums(body: bytes, header: PacketHeader, at: int, /) -> Sums:
     need(inside, "U2", f"pixels {head['first_pixel']} + {pixels} of {rows * cols}", at + 4)
     need(1 <= head["code_bits"] <= MAX_CODE_BITS, "U2", f"codes of {head['code_bits']} bits", at)
     need(1 <= count <= MOST_SUMS, "U2", f"{count} sums per pixel", at)
-    need(head["flags"] <= int(sum(FrameFlags)), "U2", f"flags are {head['flags']:#06x}", at)
+    need(head["flags"] <= ALL_FLAGS, "U2", f"flags are {head['flags']:#06x}", at)
     need(head["reserved"] == 0, "U2", f"reserved word is {head['reserved']}", at)
     first = SUMS_BODY.size + padded(count, ALIGNMENT)
     widths = tuple(body[SUMS_BODY.size : SUMS_BODY.size + count])
@@ -198,9 +207,16 @@ def unpack_sums(body: bytes, header: PacketHeader, at: int, /) -> Sums:
 
 def _values(packed: bytes, pixels: int, widths: tuple[int, ...]) -> NDArray[np.uint32]:
     """Sums (pixel, sum) of packed bits: each is cut out of the 8 bytes in which it begins."""
-    first = np.cumsum((0, *widths[:-1])) + np.arange(pixels)[:, None] * sum(widths)
+    begins, shifts = _places(pixels, widths)
     padded_bytes = packed + bytes(8)
     words = np.ndarray((len(packed) + 1,), "<u8", padded_bytes, strides=(1,))
-    masks = (np.uint64(1) << np.array(widths, np.uint64)) - np.uint64(1)
-    shifts = (first & 7).astype(np.uint64)
-    return ((words[first >> 3] >> shifts) & masks).astype(np.uint32)
+    cut = words[begins]
+    cut >>= shifts
+    return cut.astype(np.uint32) & _greatest(widths)
+
+
+@lru_cache(maxsize=4)  # packets of a stream are alike, but for the last of a picture
+def _places(pixels: int, widths: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.uint64]]:
+    """Byte in which each sum begins, and the bit there, (pixel, sum)."""
+    first = np.cumsum((0, *widths[:-1])) + np.arange(pixels)[:, None] * sum(widths)
+    return first >> 3, (first & 7).astype(np.uint64)

@@ -32,6 +32,7 @@ from hueflight.devices.reduction import Reduction
 from hueflight.errors import HueflightError
 from hueflight.model.instrument import Instrument
 from hueflight.reconstruction.stopping import StopRule
+from hueflight_protocol import ReductionRoom
 
 CONNECT_S = 10.0
 PICTURES_HZ = 10.0  #: of sums
@@ -138,7 +139,7 @@ def capture(
             )
     described = Instrument.load(instrument)
     metadata = {"note": note} if note else {}
-    reduction = reduction_for(described, calibration, picture_frames) if reduce else None
+    known = calibration_for_sums(described, calibration) if reduce else None
     if picture_frames is not None and not reduce:
         raise CaptureError(f"--picture-frames {picture_frames}: it belongs to --reduce")
     if reduce and kind != "scene":
@@ -162,12 +163,14 @@ def capture(
         say=lambda text: print_notice(text, style="bold yellow"),
     )  # fmt: skip
     acquisition = Acquisition(connect, described)
-    if reduction is not None:
-        acquisition.set_controls(CameraControls(reduction=reduction), acquisition.settings)
     console = error_console()
     with _StopOnInterrupt(acquisition):
         try:
             _wait_for_rig(acquisition)
+            if known is not None:  # tables must fit what the camera has room for
+                room = acquisition.snapshot.reduction_room
+                reduction = reduction_for(known, picture_frames, room)
+                acquisition.set_controls(CameraControls(reduction=reduction), acquisition.settings)
             if console.is_terminal and not yes and not acquisition.snapshot.simulated:
                 console.print(GUIDANCE[kind])
                 console.input("Press Enter to begin. ")
@@ -183,10 +186,8 @@ def capture(
         raise HueflightError(f"the capture broke off: {result.failure}")
 
 
-def reduction_for(
-    instrument: Instrument, calibration: Path | None, picture_frames: int | None
-) -> Reduction:
-    """What the camera needs for sums.
+def calibration_for_sums(instrument: Instrument, calibration: Path | None) -> Calibration:
+    """Load the calibration that sums are designed from.
 
     Parameters
     ----------
@@ -194,13 +195,11 @@ def reduction_for(
         Instrument of the capture.
     calibration : Path or None
         Calibration of the same instrument.
-    picture_frames : int or None
-        Frames of a picture.
 
     Returns
     -------
-    Reduction
-        Tables, offsets and frames of a picture.
+    Calibration
+        The calibration.
 
     Raises
     ------
@@ -211,9 +210,31 @@ def reduction_for(
         raise CaptureError("--reduce needs a calibration to design sums with: give --calibration")
     known = Calibration.load(calibration)
     known.require(instrument)
-    rate_hz = instrument.sensor.usual_frame_rate_hz
+    return known
+
+
+def reduction_for(
+    calibration: Calibration, picture_frames: int | None, room: ReductionRoom | None
+) -> Reduction:
+    """What the camera needs for sums.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Calibration that they are designed from.
+    picture_frames : int or None
+        Frames of a picture.
+    room : ReductionRoom or None
+        What the camera has room for; None if it has none, and then refuses them.
+
+    Returns
+    -------
+    Reduction
+        Tables, offsets and frames of a picture.
+    """
+    rate_hz = calibration.instrument.sensor.usual_frame_rate_hz
     frames = picture_frames or max(1, round(rate_hz / PICTURES_HZ))
-    return reduction_of(known, picture_frames=frames)
+    return reduction_of(calibration, picture_frames=frames, room=room, rate_hz=rate_hz)
 
 
 def until_of(

@@ -20,6 +20,7 @@ from hueflight import simulator
 from hueflight.batch import reconstruct_file
 from hueflight.errors import HueflightError
 from hueflight.recording import open_recording, read_sums
+from hueflight.recording.recorded_sums import describe_recorded_sums
 
 COMMAND = [sys.executable, "-c", "from hueflight.cli import main; main()", "capture"]
 PATIENCE_S = 60
@@ -84,6 +85,35 @@ def test_no_camera_is_said_with_a_way_out(instrument: Path, tmp_path: Path) -> N
     assert finished.returncode == 1
     assert "Traceback" not in finished.stderr
     assert "--simulate" in finished.stderr or "libusb" in finished.stderr
+
+
+def test_sums_fit_what_the_camera_has_room_for(instrument: Path, tmp_path: Path) -> None:
+    described = hf.Instrument.load(instrument)
+    reference = simulator.simulate_capture("reference", described, frames=4000, distance=0.4)
+    hf.calibrate(reference, described, distance=0.4).save(tmp_path / "cal.zarr")
+    out = tmp_path / "sums.mcap"
+    program = (
+        "from hueflight.emulation import camera_model; from hueflight_protocol import "
+        "ReductionRoom; camera_model.ReductionRoom = lambda: ReductionRoom(12, 3, 10, 64, 8); "
+        "from hueflight.cli import main; main()"
+    )
+    options = [
+        "capture", "scene", "--simulate", "--frames", "300", "--instrument", str(instrument),
+        "--reduce", "--calibration", str(tmp_path / "cal.zarr"), "--picture-frames", "60",
+        "-o", str(out),
+    ]  # fmt: skip
+    finished = subprocess.run(
+        [sys.executable, "-c", program, *options],
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    assert finished.returncode == 0, finished.stderr
+    with open_recording(out) as recording:
+        sums = read_sums(recording)
+        tables = describe_recorded_sums(recording).tables
+    assert (sums.frames == 300).all()
+    assert (tables.sums, tables.entry_bits) == (12, 3)
+    assert max(tables.widths[:4]) <= 10
+    assert max(tables.widths[4:]) <= 9
 
 
 def test_sums_instead_of_codes(instrument: Path, tmp_path: Path) -> None:

@@ -107,6 +107,13 @@ class CameraConfig:
             self.scene.check(self.form)
         if self.reduction is not None:
             check_room(self.form, self.reduction, packet_words=self.sums_words)
+        form = self.form
+        if form.banks < form.least_banks:
+            raise FormatError(
+                f"banks = {form.banks}: must be {form.least_banks} or more for runs of {form.run} "
+                f"pixels in {form.lanes} lanes, or every frame without a pause is aborted; choose "
+                "longer runs or more banks"
+            )
         if not 3 <= self.admit_words <= self.buffer_words:
             raise FormatError(
                 f"admit_words = {self.admit_words}: must be from 3 to buffer_words = "

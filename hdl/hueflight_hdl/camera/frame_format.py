@@ -139,6 +139,11 @@ class FrameFormat:
         return min(self.banks, ceil(behind + WRITE_LATENCY / comes + 1))
 
     @property
+    def least_banks(self) -> int:
+        """Banks without which not even an empty frame can come without a pause."""
+        return min(self.chunks, ceil(WRITE_LATENCY / self.chunk(last=False).beats + 1))
+
+    @property
     def bank_groups(self) -> int:
         """Groups that a bank has addresses for."""
         return 1 << (self.run // GROUP - 1).bit_length()

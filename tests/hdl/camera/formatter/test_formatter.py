@@ -3,7 +3,10 @@
 
 import numpy as np
 import pytest
+from amaranth.sim import Simulator
 
+from hueflight_hdl.camera.camera import CameraConfig
+from hueflight_hdl.camera.formatter.formatter import FrameFormatter
 from hueflight_hdl.camera.formatter.reference import SensorFrame, expected_packets
 from hueflight_hdl.camera.frame_format import BANKS, LANES, FormatError, FrameFormat
 from hueflight_protocol import FrameFlags
@@ -155,3 +158,26 @@ def test_abort_after_every_beat(lanes, step_through, draw_codes):
 def test_impossible_formats_are_refused(wrong, message):
     with pytest.raises(FormatError, match=message):
         FrameFormat(**wrong)
+
+
+@pytest.mark.parametrize(("run", "banks"), [(32, 4), (32, 8), (64, 2), (64, 4)])
+def test_an_empty_frame_waits_for_banks_where_a_camera_is_refused(run, banks):
+    form = FrameFormat(rows=24, cols=16, code_bits=6, lanes=8, run=run, banks=banks)
+    dut, waits = FrameFormatter(form), []
+
+    async def sensor(ctx):
+        ctx.set(dut.o.ready, 1)
+        ctx.set(dut.beats.valid, 1)
+        while sum(not wait for wait in waits) < form.beats:
+            _, _, ready = await ctx.tick().sample(dut.beats.ready)
+            waits.append(not ready)
+
+    simulator = Simulator(dut)
+    simulator.add_clock(1e-8)
+    simulator.add_testbench(sensor)
+    simulator.run()
+    if not any(waits):
+        CameraConfig(form=form)
+        return
+    with pytest.raises(FormatError, match=f"banks = {banks}: must be"):
+        CameraConfig(form=form)

@@ -61,7 +61,9 @@ def no_collisions(config: CameraConfig, /) -> str:
     str
         A command of yosys, for the netlist as it was read.
     """
-    modules = ["*.formatter.store"] + ["*.reducer.core"] * (config.reduction is not None)
+    modules = ["*.formatter.store"]
+    if config.reduction is not None:
+        modules += ["*.reducer.core", "*.reducer.core.slice*"]
     return " ".join(["setparam -set COLLISION_X_MASK 1'1", *(f"{m}/t:$memrd_v2" for m in modules)])
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from amaranth.hdl import Array, Assert, Assume, Module, Mux, Signal
 from amaranth.lib import data
-from amaranth.lib.memory import WritePort
 
 from hueflight_protocol.reduction_registers import ReductionRoom
 
 from ..camera.frame_format import FrameFormat
-from ..camera.reduction.core import LEAST_GROUPS, ReductionCore, SaturatingSum
+from ..camera.reduction.core import LEAST_GROUPS, ReductionCore
 from ..camera.reduction.picture_writer import PictureWriter
+from ..camera.reduction.sum_slice import SaturatingSum
 from ..camera.reduction.windows import BlockPlan, BlockWindows
 from .harness import FreeHarness
 
@@ -126,12 +126,15 @@ class WatchedCore(ReductionCore):
         self.collided = Signal()  # what was read a clock ago was written as well
         self.heeded = Signal()  # what was read a clock ago matters
 
-    def _sums(self, m: Module, beat: data.View) -> tuple[data.View, WritePort]:
-        before, write = super()._sums(m, beat)
-        windows, reads = self._windows, beat.valid | beat.look
-        m.d.sync += self.collided.eq(reads & write.en & (write.addr == beat.place.group))
-        m.d.comb += self.heeded.eq(~windows.fresh | (windows.store & ~windows.store_fresh))
-        return before, write
+    def elaborate(self, platform: object) -> Module:
+        m = super().elaborate(platform)
+        windows, part, same = self._windows, self.slices[0], Signal()
+        m.d.sync += same.eq(part.write & (part.write_group == part.group))
+        m.d.comb += [
+            self.collided.eq(same & (windows.valid | windows.look)),
+            self.heeded.eq(~windows.fresh | (windows.store & ~windows.store_fresh)),
+        ]
+        return m
 
 
 class SumCollisionHarness(FreeHarness):
@@ -166,6 +169,7 @@ class WriterHarness(FreeHarness):
             FrameFormat(rows=1, cols=4, code_bits=2, lanes=1),
             ReductionRoom(sums=1, entry_bits=1, sum_bits=1, group=4),
             packet_words=16,
+            read_clocks=2,
         )
         super().__init__(self.writer)
 

@@ -14,7 +14,7 @@ from hueflight_hdl.camera.formatter.admission import FrameAdmission
 from hueflight_hdl.camera.formatter.formatter import FrameFormatter
 from hueflight_hdl.camera.formatter.trailer import TrailerWriter
 from hueflight_hdl.camera.reduction import core as reduction
-from hueflight_hdl.camera.reduction import windows
+from hueflight_hdl.camera.reduction import sum_slice, windows
 from hueflight_hdl.camera.reduction.picture_writer import PictureWriter
 from hueflight_hdl.common.counter import SaturatingCounter
 from hueflight_hdl.proofs import camera_capture, camera_formatter, camera_reduction, camera_time
@@ -194,7 +194,7 @@ def test_a_sum_that_wraps_is_found(prover, monkeypatch):
         m.d.sync += self.after.eq(self.before + self.entry)
         return m
 
-    monkeypatch.setattr(reduction.SaturatingSum, "elaborate", wrap)
+    monkeypatch.setattr(sum_slice.SaturatingSum, "elaborate", wrap)
     proof = next(proof for proof in PROOFS if proof.name == "camera-sums")
     with pytest.raises(ProofError, match="A sum is exact"):
         prove(proof)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from amaranth.hdl import Module, Mux, Signal, Value, signed, unsigned
+from amaranth.hdl import Cat, Module, Mux, Signal, signed, unsigned
 from amaranth.lib import data, wiring
-from amaranth.lib.memory import Memory, WritePort
+from amaranth.lib.memory import Memory
 from amaranth.lib.wiring import In, Out
 
 from hueflight_protocol.errors import HueflightError
 
+from .sum_slice import FETCH_CLOCKS, SLICE_SUMS, SumSlice, later
 from .windows import FLAG_BITS, FRAME_BITS, BlockPlan, BlockWindows, block_layout
 
 LATENCY = 6
@@ -51,59 +52,15 @@ def groups_of(pixels: int, lanes: int, /) -> int:
     return pixels // lanes
 
 
-def _later(m: Module, value: Value | data.View, clocks: int) -> list:
-    """Return a value 1, 2, … clocks later."""
-    found = []
-    for _ in range(clocks):
-        later = Signal(value.shape(), reset_less=True)
-        m.d.sync += later.eq(value)
-        found.append(value := later)
-    return found
-
-
-class SaturatingSum(wiring.Component):
-    """Adds an entry to a sum, which stays at its greatest value; the result is a clock late.
-
-    Parameters
-    ----------
-    width, entry_bits : int
-        Bits of the sum and of the entry.
-
-    Members
-    -------
-    before, entry : In
-        The sum so far and what is added.
-    limit : In
-        Greatest value of the sum.
-    after : Out
-        Of the clock before: their sum, at most `limit`.
-    """
-
-    def __init__(self, width: int, entry_bits: int) -> None:
-        self._total_bits = max(width, entry_bits) + 1
-        super().__init__(
-            {
-                "before": In(width),
-                "entry": In(entry_bits),
-                "limit": In(width),
-                "after": Out(width),
-            }
-        )
-
-    def elaborate(self, platform: object) -> Module:
-        m = Module()
-        total = Signal(self._total_bits)
-        m.d.sync += total.eq(self.before + self.entry)
-        m.d.comb += self.after.eq(Mux(total > self.limit, self.limit, total))
-        return m
-
-
 class ReductionCore(wiring.Component):
     """Adds table entries of every code to the sums of its pixel.
 
     Beats are groups of `lanes` codes in readout order, after mask and gate; the core never lets
     them wait. Each block of pixels has a window of frames of its own, see `BlockWindows`. The sums
     of a window that is over are stored in a buffer, from which they are fetched.
+
+    Sums are divided into slices, each a clock behind the one before, from which it takes what it
+    needs. So no signal has to reach all block RAMs of a device at once.
 
     Parameters
     ----------
@@ -147,10 +104,17 @@ class ReductionCore(wiring.Component):
         A block can be fetched; it was.
     block : Out
         What is said of it, see `block_layout`.
-    read_group : In, sums : Out
-        A group of the block, and its sums one clock later, lane after lane.
+    read_group, read_lane : In
+        A pixel of the block.
+    pixel : Out
+        Its sums, `read_clocks` later, as long as the same is asked for.
     full : Out(1)
         No frame must come, since those of a window could not be counted.
+
+    Attributes
+    ----------
+    read_clocks : int
+        Clocks from `read_group` and `read_lane` to `pixel`.
     """
 
     def __init__(
@@ -170,9 +134,13 @@ class ReductionCore(wiring.Component):
         self.pixel_layout = data.StructLayout(
             {f"sum{k}": width for k, width in enumerate(self.widths)}
         )
-        self.sums_layout = data.ArrayLayout(self.pixel_layout, lanes)
         self.entries_layout = data.ArrayLayout(entry_bits, len(self.widths))
-        self._windows = BlockWindows(self.plan, lanes)
+        self.slices = [
+            SumSlice(self.plan, lanes, self.widths[first:][:SLICE_SUMS], entry_bits)
+            for first in range(0, len(self.widths), SLICE_SUMS)
+        ]
+        self.read_clocks = FETCH_CLOCKS + len(self.slices)
+        self._windows = BlockWindows(self.plan, lanes, late=len(self.slices) - 1)
         super().__init__(
             {
                 "valid": In(1),
@@ -200,7 +168,8 @@ class ReductionCore(wiring.Component):
                 "done": In(1),
                 "block": Out(block_layout(self.plan, lanes)),
                 "read_group": In(range(self.plan.block_groups)),
-                "sums": Out(self.sums_layout),
+                "read_lane": In(range(lanes)),
+                "pixel": Out(self.pixel_layout),
                 "full": Out(1),
             }
         )
@@ -214,8 +183,8 @@ class ReductionCore(wiring.Component):
 
         # clock 1: offsets arrive; clocks 2 and 3: places in the tables
         offsets = self._offsets(m, beat.place.group)
-        steps, codes = _later(m, beat, 4), _later(m, self.codes, 3)
-        offsets2 = _later(m, offsets, 1)[-1]
+        steps, codes = later(m, beat, 4), later(m, self.codes, 3)
+        offsets2 = later(m, offsets, 1)[-1]
         indices, counted = [], Signal(self.lanes)
         for lane in range(self.lanes):
             moved, index = Signal(signed(self.code_bits + 2)), Signal(self.code_bits)
@@ -228,9 +197,8 @@ class ReductionCore(wiring.Component):
             indices.append(index)
 
         # clock 4: entries and sums are read; clock 5: what becomes of them
-        beat5, count5 = _later(m, steps[-1], 1)[-1], Signal.like(windows.count)
+        beat5, count5 = later(m, steps[-1])[-1], Signal.like(windows.count)
         entries = [self._entries(m, lane, index) for lane, index in enumerate(indices)]
-        before, write = self._sums(m, steps[-1])
         m.d.sync += count5.eq(sum(counted))
         m.d.comb += [
             windows.place.eq(steps[-1].place),
@@ -241,37 +209,64 @@ class ReductionCore(wiring.Component):
             windows.count.eq(count5),
             windows.flags.eq(beat5.flags),
             windows.periods.eq(beat5.periods),
+            windows.frames_per_picture.eq(self.frames_per_picture),
+            windows.clear.eq(self.clear),
+            windows.finish.eq(self.finish),
+            windows.lost.eq(self.lost),
+            windows.done.eq(self.done),
+            self.drained.eq(windows.drained),
+            self.ready.eq(windows.ready),
+            self.full.eq(windows.full),
+            self.block.eq(windows.block),
         ]
 
-        # clock 6: sums are stored, and begin anew
-        fresh6, store6, as_zero6 = (
-            _later(m, signal, 1)[-1]
-            for signal in (windows.fresh, windows.store, windows.store_fresh)
-        )
-        counted6, before6 = _later(m, counted, 2)[-1], _later(m, before, 1)[-1]
-        places = _later(m, beat5.place, 4)
-        self._buffer(m, store6, places[0].at, Mux(as_zero6, 0, before6))
-        before7 = _later(m, Mux(fresh6, 0, before6), 1)[-1]
-
-        # clocks 7 and 8: the sums after the beat; clock 9: they are written
-        after = Signal(self.sums_layout)
+        # clock 6: sums are stored, and begin anew; clocks 7 and 8: the sums after the beat
+        counted6 = later(m, counted, 2)[-1]
+        entries7 = Signal(data.ArrayLayout(self.entries_layout, self.lanes), reset_less=True)
         for lane in range(self.lanes):
-            entries6 = _later(m, entries[lane], 1)[-1]
-            entries7 = _later(m, Mux(counted6[lane], entries6, 0), 1)[-1]
-            for k, width in enumerate(self.widths):
-                m.submodules[f"sum{k}_{lane}"] = adder = SaturatingSum(width, self.entry_bits)
-                m.d.comb += [
-                    adder.before.eq(self.sums_layout(before7)[lane][f"sum{k}"]),
-                    adder.entry.eq(self.entries_layout(entries7)[k]),
-                    adder.limit.eq(self.limits[f"sum{k}"]),
-                ]
-                m.d.sync += after[lane][f"sum{k}"].eq(adder.after)
+            entries6 = later(m, entries[lane])[-1]
+            m.d.sync += entries7[lane].eq(Mux(counted6[lane], entries6, 0))
+        # clock 9: they are written; an address of its own, not that of the reading some slices on
+        written = Signal(data.StructLayout({"write": 1, "write_group": range(self.groups)}))
         m.d.comb += [
-            write.en.eq(_later(m, beat5.valid, 4)[-1]),
-            write.addr.eq(places[-1].group),
-            write.data.eq(after),
+            written.write.eq(beat5.valid),
+            written.write_group.eq(Mux(beat5.valid, beat5.place.group, 0)),
         ]
+        self._slices(
+            m,
+            group=steps[-1].place.group,
+            at=later(m, beat5.place.at)[-1],
+            fresh=later(m, windows.fresh)[-1],
+            store=later(m, windows.store)[-1],
+            store_fresh=later(m, windows.store_fresh)[-1],
+            entries=entries7,
+            written=later(m, written, 4)[-1],
+            fetch=later(m, Cat(self.read_group, self.read_lane))[-1],
+        )
         return m
+
+    def _slices(
+        self, m: Module, *, entries: data.View, written: data.View, fetch: Signal, **steps: Signal
+    ) -> None:
+        """Connect the slices, each a clock behind the one before."""
+        for number, part in enumerate(self.slices):
+            m.submodules[f"slice{number}"] = part
+            first = number * SLICE_SUMS
+            m.d.comb += [
+                *(getattr(part, name).eq(signal) for name, signal in steps.items()),
+                part.write.eq(written.write),
+                part.write_group.eq(written.write_group),
+                Cat(part.fetch_at, part.fetch_lane).eq(fetch),
+            ]
+            for k in range(len(part.widths)):
+                m.d.comb += [
+                    part.limits[k].eq(self.limits[f"sum{first + k}"]),
+                    self.pixel[f"sum{first + k}"].eq(part.pixel[k]),
+                ]
+                for lane in range(self.lanes):
+                    m.d.comb += part.entries[lane][k].eq(entries[lane][first + k])
+            steps = {name: later(m, signal)[-1] for name, signal in steps.items()}
+            entries, written, fetch = (later(m, s)[-1] for s in (entries, written, fetch))
 
     def _sequence(self, m: Module) -> data.View:
         """Return the beat in this clock, or a look at sums that are wanted while none comes."""
@@ -373,34 +368,3 @@ class ReductionCore(wiring.Component):
             read.addr.eq(index),
         ]
         return read.data
-
-    def _sums(self, m: Module, beat: data.View) -> tuple[data.View, WritePort]:
-        """Return the sums before a beat, a clock later, and the port that writes those after it."""
-        memory = Memory(shape=self.sums_layout, depth=self.groups, init=[])
-        m.submodules.sums_memory = memory
-        write, read = memory.write_port(), memory.read_port()
-        m.d.comb += read.addr.eq(beat.place.group)
-        return read.data, write
-
-    def _buffer(self, m: Module, store: Value, at: Value, sums: Value) -> None:
-        """Hold the sums of a block, and say what is known of it."""
-        windows, plan = self._windows, self.plan
-        m.submodules.buffer = memory = Memory(
-            shape=self.sums_layout, depth=plan.block_groups, init=[],
-            attrs={"ram_style": "distributed"},
-        )  # fmt: skip
-        write, read = memory.write_port(), memory.read_port()
-        m.d.sync += [write.en.eq(store), write.addr.eq(at), write.data.eq(sums)]
-        m.d.comb += [
-            read.addr.eq(self.read_group),
-            self.sums.eq(read.data),
-            windows.frames_per_picture.eq(self.frames_per_picture),
-            windows.clear.eq(self.clear),
-            windows.finish.eq(self.finish),
-            windows.lost.eq(self.lost),
-            windows.done.eq(self.done),
-            self.drained.eq(windows.drained),
-            self.ready.eq(windows.ready),
-            self.full.eq(windows.full),
-            self.block.eq(windows.block),
-        ]

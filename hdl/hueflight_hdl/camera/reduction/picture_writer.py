@@ -128,6 +128,8 @@ class PictureWriter(wiring.Component):
         Sums per pixel and their bits.
     packet_words : int
         Words of eight bytes in a packet, at most; the buffer has room for two. A power of two.
+    read_clocks : int
+        As that of `ReductionCore`.
 
     Members
     -------
@@ -143,8 +145,10 @@ class PictureWriter(wiring.Component):
         Label of the capture.
     now : In(64)
         Device clock.
-    group, sums : Out, In
-        A group of the block, and its sums a clock later.
+    group, lane : Out
+        A pixel of the block.
+    pixel : In
+        Its sums, `read_clocks` later, as long as the same is asked for.
     idle : Out(1)
         No block is being read and no packet waits.
     o : Out(stream)
@@ -153,8 +157,11 @@ class PictureWriter(wiring.Component):
         A word is lost; see the proof ``camera-sum-packets``.
     """
 
-    def __init__(self, form: FrameFormat, room: ReductionRoom, *, packet_words: int) -> None:
+    def __init__(
+        self, form: FrameFormat, room: ReductionRoom, *, packet_words: int, read_clocks: int
+    ) -> None:
         self.form, self.room, self.packet_words = form, room, packet_words
+        self.read_clocks = read_clocks
         self.width_words = -(-room.sums // 8)
         self.plan = plan_blocks(form, room, packet_words)
         sums = data.StructLayout({f"sum{k}": width for k, width in enumerate(room.widths)})
@@ -168,7 +175,8 @@ class PictureWriter(wiring.Component):
                 "capture": In(32),
                 "now": In(64),
                 "group": Out(range(self.plan.block_groups)),
-                "sums": In(data.ArrayLayout(sums, form.lanes)),
+                "lane": Out(range(form.lanes)),
+                "pixel": In(sums),
                 "idle": Out(1),
                 "o": Out(stream.Signature(MESSAGE_LAYOUT)),
                 "overflow": Out(1),
@@ -182,9 +190,9 @@ class PictureWriter(wiring.Component):
         room, empty = self._buffer(m, packer, made, making)
         count = self.settings.sums
 
-        lane, group = Signal(range(self.form.lanes)), Signal.like(self.group)
-        pixel = self.sums[lane]
-        last_lane, ends = Signal(), Signal()
+        lane, group = Signal.like(self.lane), Signal.like(self.group)
+        last_lane, last_pixel, ends = Signal(), Signal(), Signal()
+        wait = Signal(range(self.read_clocks + 1))  # until the sums of the pixel are there
         most = self.plan.block_groups * self.form.lanes
         saturated, bits = Signal(range(most + 1)), Signal(range(self.packet_words * WORD_BITS))
         sending = Signal()  # the block is read for the second time
@@ -196,19 +204,22 @@ class PictureWriter(wiring.Component):
         last, reaches = Signal(), Signal()
         m.d.comb += [
             self.group.eq(group),
+            self.lane.eq(lane),
             width.eq(self.settings.widths[number]),
             limit.eq(self.limits[number]),
             wide.eq(
                 Cat(
-                    Cat(pixel[f"sum{k}"], Const(0, self.room.sum_bits - width_bits))
+                    Cat(self.pixel[f"sum{k}"], Const(0, self.room.sum_bits - width_bits))
                     for k, width_bits in enumerate(self.room.widths)
                 )
             ),
             last.eq(number + 1 == count),
             reaches.eq(some | (value == limit)),
             last_lane.eq(lane == self.form.lanes - 1),
-            ends.eq(last_lane & (group == self.block.groups - 1)),
+            last_pixel.eq(last_lane & (group == self.block.groups - 1)),
         ]
+        with m.If(wait != 0):
+            m.d.sync += wait.eq(wait - 1)
         word = Signal(range(HEAD_WORDS + self.width_words + PACK_CLOCKS))
         body = Signal(range(self.packet_words * WORD_BITS // 8))
         m.d.sync += body.eq(SUMS_BODY.size + (((count + 7) >> 3) << 3) + ((bits + 7) >> 3))
@@ -220,13 +231,17 @@ class PictureWriter(wiring.Component):
                 with m.If(self.ready & room):
                     m.next = "REWIND"
             with m.State("REWIND"):
-                m.d.sync += [lane.eq(0), group.eq(0)]
-                m.next = "ASK"
-            with m.State("ASK"):
+                m.d.sync += [lane.eq(0), group.eq(0), wait.eq(self.read_clocks)]
                 m.next = "PIXEL"
             with m.State("PIXEL"):
-                m.d.sync += [left.eq(wide), number.eq(0), some.eq(0)]
-                m.next = "SUM"
+                m.d.sync += [left.eq(wide), number.eq(0), some.eq(0), ends.eq(last_pixel)]
+                with m.If(wait == 0):  # the next one is on its way while this one is packed
+                    m.d.sync += [
+                        lane.eq(Mux(last_lane, 0, lane + 1)),
+                        group.eq(Mux(last_pixel, 0, group + last_lane)),
+                        wait.eq(self.read_clocks),
+                    ]
+                    m.next = "SUM"
             with m.State("SUM"):
                 m.d.comb += packer.valid.eq(sending)
                 m.d.sync += [
@@ -237,12 +252,9 @@ class PictureWriter(wiring.Component):
                 with m.If(~sending):
                     m.d.sync += bits.eq(bits + width)
                 with m.If(last):
-                    m.d.sync += lane.eq(lane + 1)
-                    with m.If(last_lane):
-                        m.d.sync += [lane.eq(0), group.eq(Mux(ends, 0, group + 1))]
                     with m.If(~sending):
                         m.d.sync += saturated.eq(saturated + reaches)
-                    m.next = "ASK"
+                    m.next = "PIXEL"
                     with m.If(ends):
                         m.d.sync += word.eq(0)
                         m.next = "LENGTH"

@@ -135,7 +135,9 @@ class Reducer(wiring.Component):
             entry_bits=room.entry_bits,
             block_groups=plan_blocks(form, room, packet_words).block_groups,
         )
-        self._writer = PictureWriter(form, room, packet_words=packet_words)
+        self._writer = PictureWriter(
+            form, room, packet_words=packet_words, read_clocks=self._core.read_clocks
+        )
         super().__init__(
             {
                 "began": In(1),
@@ -195,7 +197,8 @@ class Reducer(wiring.Component):
             writer.ready.eq(core.ready),
             core.done.eq(writer.done),
             core.read_group.eq(writer.group),
-            writer.sums.eq(core.sums),
+            core.read_lane.eq(writer.lane),
+            writer.pixel.eq(core.pixel),
             writer.block.eq(core.block),
             writer.capture.eq(self.capture),
             writer.settings.eq(settings.held),

@@ -152,6 +152,8 @@ class BlockWindows(wiring.Component):
         Blocks of a frame.
     lanes : int
         Pixels of a group.
+    late : int
+        Clocks by which sums are stored later than `store` says.
 
     Members
     -------
@@ -189,8 +191,8 @@ class BlockWindows(wiring.Component):
         A window has as many frames as can be counted: another one must not come.
     """
 
-    def __init__(self, plan: BlockPlan, lanes: int) -> None:
-        self.plan, self.lanes = plan, lanes
+    def __init__(self, plan: BlockPlan, lanes: int, *, late: int = 0) -> None:
+        self.plan, self.lanes, self.late = plan, lanes, late
         self.window_layout = window_layout(plan, lanes)
         super().__init__(
             {
@@ -338,7 +340,7 @@ class BlockWindows(wiring.Component):
             Signal(plan.frame_bits, init=1),
             Signal(plan.frame_bits + plan.blocks.bit_length()),
         )
-        owed, held, drain = Signal(), Signal(), Signal(SETTLE)
+        owed, held, drain = Signal(), Signal(), Signal(SETTLE + self.late)
         begun, left = Signal.like(total), Signal()  # when the window of the first block began
         number = Signal(32)
         m.d.sync += [

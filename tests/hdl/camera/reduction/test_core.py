@@ -122,11 +122,11 @@ def run(dut, tables, offsets, trial: Trial) -> list[Part]:
                 await ctx.tick()
             await ctx.tick().repeat(1 + (trial.slow if len(parts) < trial.slow_blocks else 0))
             found, block = [], ctx.get(dut.block)
-            for group in range(block["groups"]):
-                ctx.set(dut.read_group, group)
-                await ctx.tick()
-                sums = ctx.get(dut.sums)
-                found += [[sums[n][f"sum{k}"] for k in range(tables.sums)] for n in range(lanes)]
+            for number in range(block["groups"] * lanes):
+                ctx.set(dut.read_group, number // lanes)
+                ctx.set(dut.read_lane, number % lanes)
+                await ctx.tick().repeat(dut.read_clocks)
+                found.append([ctx.get(dut.pixel)[f"sum{k}"] for k in range(tables.sums)])
             window = block["window"]
             parts.append(Part(
                 block["picture"], block["first_group"] * lanes, window["frames"],

@@ -39,6 +39,8 @@ class PixelFilter(wiring.Component):
     -------
     i, o : stream of `FrameFormat.beat_layout`
         Never waits; three clocks from input to output.
+    kept : Out
+        Which codes of the beat at the output are left; one that is left may be 0 as well.
     settings : In
         See `FILTER_LAYOUT`.
     hold : In(1)
@@ -60,6 +62,7 @@ class PixelFilter(wiring.Component):
             {
                 "i": In(beats),
                 "o": Out(beats),
+                "kept": Out(form.lanes),
                 "settings": In(FILTER_LAYOUT),
                 "hold": In(1),
                 "on": Out(3),
@@ -111,9 +114,11 @@ class PixelFilter(wiring.Component):
             self.o.payload.eq(beat2),
         ]
         for lane in lanes:
-            m.d.sync += self.o.payload.codes[lane].eq(
-                Mux(keep[lane] & ~hidden[lane], beat2.codes[lane], 0)
-            )
+            left = keep[lane] & ~hidden[lane]
+            m.d.sync += [
+                self.kept[lane].eq(left),
+                self.o.payload.codes[lane].eq(Mux(left, beat2.codes[lane], 0)),
+            ]
         return m
 
     def _advance(self) -> tuple[Value, Value]:

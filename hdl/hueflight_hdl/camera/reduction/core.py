@@ -77,8 +77,8 @@ class ReductionCore(wiring.Component):
 
     Members
     -------
-    valid, codes, first_beat, last_beat : In
-        A beat, and whether it is the first or the last of a frame.
+    valid, codes, kept, first_beat, last_beat : In
+        A beat, which of its codes may add, and whether it is the first or the last of a frame.
     flags, periods : In
         What is said of its frame.
     first, last : In
@@ -145,6 +145,7 @@ class ReductionCore(wiring.Component):
             {
                 "valid": In(1),
                 "codes": In(data.ArrayLayout(code_bits, lanes)),
+                "kept": In(lanes),
                 "first_beat": In(1),
                 "last_beat": In(1),
                 "flags": In(FLAG_BITS),
@@ -183,7 +184,7 @@ class ReductionCore(wiring.Component):
 
         # clock 1: offsets arrive; clocks 2 and 3: places in the tables
         offsets = self._offsets(m, beat.place.group)
-        steps, codes = later(m, beat, 4), later(m, self.codes, 3)
+        steps, codes, kept = later(m, beat, 4), later(m, self.codes, 3), later(m, self.kept, 3)
         offsets2 = later(m, offsets, 1)[-1]
         indices, counted = [], Signal(self.lanes)
         for lane in range(self.lanes):
@@ -192,7 +193,9 @@ class ReductionCore(wiring.Component):
             m.d.sync += [
                 moved.eq(codes[-2][lane] + offsets2[lane]),
                 index.eq(self._index(m, moved, span)),
-                counted[lane].eq(steps[-2].valid & (code >= self.first) & (code <= self.last)),
+                counted[lane].eq(
+                    steps[-2].valid & kept[-1][lane] & (code >= self.first) & (code <= self.last)
+                ),
             ]
             indices.append(index)
 

@@ -46,8 +46,8 @@ class ReductionFront(wiring.Component):
     about : In
         See `ABOUT_FRAME_LAYOUT`; taken over with a frame's first beat. Flags of the filters are
         added.
-    valid, codes, first_beat, last_beat : Out
-        A beat after the filters.
+    valid, codes, kept, first_beat, last_beat : Out
+        A beat after the filters, and which of its codes these have left.
     about_beat : Out
         What is said of its frame.
     discard : Out(1)
@@ -74,6 +74,7 @@ class ReductionFront(wiring.Component):
                 "about": In(ABOUT_FRAME_LAYOUT),
                 "valid": Out(1),
                 "codes": Out(form.codes_layout(form.lanes)),
+                "kept": Out(form.lanes),
                 "first_beat": Out(1),
                 "last_beat": Out(1),
                 "about_beat": Out(ABOUT_FRAME_LAYOUT),
@@ -129,6 +130,7 @@ class ReductionFront(wiring.Component):
             self.valid.eq(pixel_filter.o.valid & ~leaving.abort),
             self.discard.eq(pixel_filter.o.valid & leaving.abort),
             self.codes.eq(leaving.codes),
+            self.kept.eq(pixel_filter.kept),
             self.first_beat.eq(leaving.first),
             self.last_beat.eq(leaving.frame_end),
         ]

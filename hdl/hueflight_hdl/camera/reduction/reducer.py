@@ -224,6 +224,7 @@ class Reducer(wiring.Component):
             front.about.eq(self.about),
             core.valid.eq(front.valid),
             core.codes.eq(front.codes),
+            core.kept.eq(front.kept),
             core.first_beat.eq(front.first_beat),
             core.last_beat.eq(front.last_beat),
             core.discard.eq(front.discard),

@@ -58,6 +58,7 @@ def run(dut, tables, offsets, trial: Trial) -> list[Part]:
         ctx.set(dut.frames_per_picture, trial.per_picture)
         ctx.set(dut.first, tables.first)
         ctx.set(dut.last, tables.last)
+        ctx.set(dut.kept, -1)
         ctx.set(dut.limits, {f"sum{k}": int(limit) for k, limit in enumerate(tables.limits)})
         for code in range(1 << dut.code_bits):
             ctx.set(dut.table_code, code)

@@ -167,12 +167,15 @@ def run(trial: Trial) -> bytes:
     return np.array(words, "<u8").tobytes()
 
 
-def draw(seed: int, *, lanes: int, rows: int, cols: int, frames: int = 12, **options) -> Trial:
+def draw(
+    seed: int, *, lanes: int, rows: int, cols: int, frames: int = 12, zero: bool = False, **options
+) -> Trial:
+    """A trial at random; with `zero`, code 0 stands for a time as well."""
     rng = np.random.default_rng(seed)
     form = FrameFormat(rows=rows, cols=cols, code_bits=4 + seed % 2, lanes=lanes, run=8)
     codes, count = 1 << form.code_bits, int(rng.integers(1, 4))
     widths = tuple(rng.integers(1, 14, count).tolist())
-    first, last = 1 + seed % 2, codes - 1 - seed % 3
+    first, last = (1 + seed % 2) * (not zero), codes - 1 - seed % 3
     entries = np.zeros((count, codes), np.uint16)
     entries[:, first : last + 1] = rng.integers(0, 1 << (2 + seed % 4), (count, last - first + 1))
     entries[0, first] = 1
@@ -238,9 +241,9 @@ def test_packets_are_those_of_the_definition(seed, lanes, shape, options):
     assert not any(picture.missed.any() for picture in pictures)
 
 
-@pytest.mark.slow
-def test_masked_pixels_add_nothing_and_packets_say_so():
-    trial = draw(5, lanes=4, rows=4, cols=8)
+@pytest.mark.parametrize("zero", [pytest.param(False, marks=pytest.mark.slow), True])
+def test_masked_pixels_add_nothing_and_packets_say_so(zero):
+    trial = draw(5, lanes=4, rows=4, cols=8, zero=zero)
     check(replace(trial, mask=(trial.rng.random(32) < 0.4).astype(np.uint8)))
 
 

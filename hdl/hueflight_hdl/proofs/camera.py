@@ -13,7 +13,14 @@ from .camera_formatter import (
     TrailerHarness,
     WalkHarness,
 )
-from .camera_reduction import SumCollisionHarness, SumHarness, WindowsHarness, WriterHarness
+from .camera_reduction import (
+    DrainHarness,
+    SumCollisionHarness,
+    SumHarness,
+    WindowsHarness,
+    WriterHarness,
+    WriterProgressHarness,
+)
 from .camera_time import TimeHarness
 from .proof import Proof
 
@@ -113,8 +120,24 @@ PROOFS = (
         induction=False,
     ),
     Proof(
+        "camera-sum-end",
+        "Nothing is left to be fetched 50 clocks after the end of a capture, with any settings and "
+        "any frames before it.",
+        DrainHarness,
+        depth=66,
+        induction=False,
+    ),
+    Proof(
+        "camera-sum-progress",
+        "A block has been read 50 clocks after it can be, with any contents of the registers and a "
+        "link that takes every word.",
+        WriterProgressHarness,
+        depth=60,
+        induction=False,
+    ),
+    Proof(
         "camera-sum-packets",
-        "No word of a packet of sums is lost, with any sums and any stalls of the link, checked "
+        "No word of a packet of sums is lost, with any sums and a link that takes none, checked "
         "over several packets of the smallest writer.",
         WriterHarness,
         depth=90,

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from amaranth.hdl import Array, Assert, Assume, Module, Mux, Signal
-from amaranth.lib import data
+from amaranth.lib import data, wiring
+from amaranth.lib.wiring import In
 
 from hueflight_protocol.reduction_registers import ReductionRoom
 
 from ..camera.frame_format import FrameFormat
 from ..camera.reduction.core import LEAST_GROUPS, ReductionCore
 from ..camera.reduction.picture_writer import PictureWriter
+from ..camera.reduction.settings import ReductionSettings, settings_layout
 from ..camera.reduction.sum_slice import SaturatingSum
 from ..camera.reduction.windows import BlockPlan, BlockWindows
 from .harness import FreeHarness
@@ -161,15 +163,106 @@ class SumCollisionHarness(FreeHarness):
             m.d.sync += beat.eq(0)
 
 
+class DrainHarness(FreeHarness):
+    """The smallest core, which has to end any capture with any settings, read at once."""
+
+    SETTLE, CLOCKS = 6, 50
+
+    def __init__(self) -> None:
+        self.core = ReductionCore(
+            pixels=LEAST_GROUPS, lanes=1, code_bits=1, widths=(1,), entry_bits=1, block_groups=4,
+            frame_bits=3,
+        )  # fmt: skip
+        super().__init__(self.core)
+
+    def state(self, m: Module) -> None:
+        """Some clocks after the end of a capture, nothing is left to be fetched."""
+        core, beat = self.core, Signal(range(LEAST_GROUPS))
+        ending, clocks = Signal(), Signal(range(self.CLOCKS + 1))
+        frames = Signal.like(core.frames_per_picture)
+        m.d.sync += [ending.eq(core.finish), frames.eq(core.frames_per_picture)]
+        quiet, settled = Signal(), Signal(range(self.SETTLE + 1))
+        m.d.sync += settled.eq(Mux(quiet, settled + (settled != self.SETTLE), 0))
+        m.d.comb += [
+            quiet.eq(~(core.valid | core.discard | core.lost | core.clear)),
+            Assume((core.periods == 0) & (core.flags == 0)),
+            Assume(core.first_beat == (beat == 0)),
+            Assume(core.last_beat == (beat == LEAST_GROUPS - 1)),
+            Assume(~core.discard | (~core.valid & (beat != 0))),
+            Assume(~core.clear | (~core.valid & (beat == 0))),
+            Assume(~(core.full & core.valid & (beat == 0))),
+            Assume((core.frames_per_picture == frames) | core.clear),
+            Assume(~core.finish | (quiet & (beat == 0) & (settled == self.SETTLE))),
+            Assume(core.finish | ~ending),
+            Assume(core.done == core.ready),
+            Assert((clocks != self.CLOCKS) | core.drained),
+        ]
+        with m.If(core.valid):
+            m.d.sync += beat.eq(Mux(core.last_beat, 0, beat + 1))
+        with m.If(core.discard):
+            m.d.sync += beat.eq(0)
+        with m.If(core.finish & (clocks != self.CLOCKS)):
+            m.d.sync += clocks.eq(clocks + 1)
+
+
+class SettledWriter(wiring.Component):
+    """A writer with settings as registers ask for them, and a link that takes every word."""
+
+    def __init__(self) -> None:
+        room = ReductionRoom(sums=2, entry_bits=1, sum_bits=2, group=4)
+        form = FrameFormat(rows=1, cols=4, code_bits=2, lanes=1)
+        self.settings = ReductionSettings(room, form.code_bits)
+        self.writer = PictureWriter(form, room, packet_words=16, read_clocks=1)
+        super().__init__({"began": In(1), "asked": In(settings_layout(room)), "ready": In(1)})
+
+    def elaborate(self, platform: object) -> Module:
+        m = Module()
+        m.submodules.settings = settings = self.settings
+        m.submodules.writer = writer = self.writer
+        m.d.comb += [
+            settings.began.eq(self.began),
+            settings.asked.eq(self.asked),
+            writer.settings.eq(settings.held),
+            writer.limits.eq(settings.limits),
+            writer.ready.eq(self.ready),
+            writer.block.groups.eq(1),
+            writer.o.ready.eq(1),
+        ]
+        return m
+
+
+class WriterProgressHarness(FreeHarness):
+    """A writer that has to make a packet of a block, with any contents of the registers."""
+
+    CLOCKS = 50
+
+    def __init__(self) -> None:
+        self.settled = SettledWriter()
+        super().__init__(self.settled)
+
+    def state(self, m: Module) -> None:
+        """A block that waits has been read after some clocks, if sums are sent at all."""
+        settled, clocks = self.settled, Signal(range(self.CLOCKS + 1))
+        writer, waited = settled.writer, Signal()
+        m.d.sync += [clocks.eq(0), waited.eq(settled.ready & ~writer.done)]
+        with m.If(settled.ready & ~writer.done):
+            m.d.sync += clocks.eq(clocks + 1)
+        m.d.comb += [
+            Assume(~settled.ready | (settled.settings.sums & ~settled.began)),
+            Assume(settled.ready | ~waited),
+            Assert(clocks != self.CLOCKS),
+        ]
+
+
 class WriterHarness(FreeHarness):
-    """A writer whose packets hold a pixel each, with any sums, blocks and stalls of the link."""
+    """A writer whose packets hold a pixel each, with any sums and blocks; its link stands."""
 
     def __init__(self) -> None:
         self.writer = PictureWriter(
             FrameFormat(rows=1, cols=4, code_bits=2, lanes=1),
             ReductionRoom(sums=1, entry_bits=1, sum_bits=1, group=4),
             packet_words=16,
-            read_clocks=2,
+            read_clocks=1,
         )
         super().__init__(self.writer)
 
@@ -178,6 +271,7 @@ class WriterHarness(FreeHarness):
         settings, block = self.writer.settings, self.writer.block
         m.d.comb += [
             Assume(block.groups == 1),
+            self.writer.o.ready.eq(0),
             settings.sums.eq(1),
             settings.widths[0].eq(1),
             Assert(~self.writer.overflow),

@@ -16,6 +16,7 @@ from hueflight_hdl.camera.formatter.trailer import TrailerWriter
 from hueflight_hdl.camera.reduction import core as reduction
 from hueflight_hdl.camera.reduction import sum_slice, windows
 from hueflight_hdl.camera.reduction.picture_writer import PictureWriter
+from hueflight_hdl.camera.reduction.settings import ReductionSettings
 from hueflight_hdl.common.counter import SaturatingCounter
 from hueflight_hdl.proofs import camera_capture, camera_formatter, camera_reduction, camera_time
 from hueflight_hdl.proofs.camera import PROOFS
@@ -209,3 +210,22 @@ def test_a_packet_that_does_not_wait_for_room_is_found(prover, monkeypatch):
 
     monkeypatch.setattr(camera_reduction, "PictureWriter", Hasty)
     broken(camera_reduction.WriterHarness, depth=70)
+
+
+@pytest.mark.slow
+def test_settings_that_change_as_they_are_taken_over_are_found(prover, monkeypatch):
+    class Late(ReductionSettings):
+        def elaborate(self, platform):
+            m = super().elaborate(platform)
+            with m.If(self.began):
+                m.d.sync += self.held.eq(self.asked)  # not those that were checked
+            return m
+
+    monkeypatch.setattr(camera_reduction, "ReductionSettings", Late)
+    broken(camera_reduction.WriterProgressHarness, depth=54)
+
+
+@pytest.mark.slow
+def test_a_capture_that_takes_long_to_end_is_found(prover, monkeypatch):
+    monkeypatch.setattr(reduction, "QUIET_CLOCKS", 80)
+    broken(camera_reduction.DrainHarness, depth=66)

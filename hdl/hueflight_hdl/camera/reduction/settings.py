@@ -89,7 +89,8 @@ class ReductionSettings(wiring.Component):
             Mux(used[k], (asked.widths[k] != 0) & (asked.widths[k] <= room.widths[k]), 1)
             for k in range(room.sums)
         )
-        fits = Signal()  # a clock after the registers, which is long before a capture can begin
+        said, fits = Signal.like(asked), Signal()  # a clock after the registers
+        m.d.sync += said.eq(asked)
         m.d.sync += fits.eq(
             fit.all()
             & (asked.sums != 0)
@@ -100,9 +101,9 @@ class ReductionSettings(wiring.Component):
         )
         with m.If(self.began):
             m.d.sync += [
-                self.held.eq(asked),
+                self.held.eq(said),
                 self.sums.eq(fits),
-                self.codes.eq(~fits | (asked.mode == ReductionMode.BOTH)),
+                self.codes.eq(~fits | (said.mode == ReductionMode.BOTH)),
             ]
         for k in range(room.sums):
             m.d.sync += self.limits[k].eq(_ones(self.held.widths[k], room.sum_bits))

@@ -59,12 +59,13 @@ INLINE void find_rows(const Paper *paper, Group *group, const Light *light, cons
     }
 }
 
-/* Prefetches the next part of what is read next: processors drop some of too many at a time. */
+/* Prefetches the next part of what is read next: processors drop some of too many at a time. It goes
+ * into the second cache, since what is computed now fills the first. */
 INLINE void fetch_next(Group *group)
 {
     size_t part = group->fetched++;
     if (part < group->fetches)
-        __builtin_prefetch(group->next[part % (2 * LANES)] + part / (2 * LANES) * 64);
+        __builtin_prefetch(group->next[part % (2 * LANES)] + part / (2 * LANES) * 64, 0, 2);
 }
 
 /* Running sums of the light, and its factors as pairs of bins; returns all bits that a count has, also

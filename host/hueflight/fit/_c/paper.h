@@ -216,6 +216,17 @@ INLINE int64_t before(const Paper *paper, const Group *group, int lane, int bin)
     return whole_before(group, lane, bin) + turns * whole_before(group, lane, bins);
 }
 
+/* A pixel's counts from one bin up to another, either of which may lie on another turn. */
+INLINE double counts_in(const Paper *paper, const Group *group, int lane, int start, int stop)
+{
+    if (start >= 0 && stop <= paper->bins) { /* most windows; differences are exact */
+        const ivec *first = group->running + start, *last = group->running + stop;
+        return group->step == 1 ? (double)((*last)[lane] - (*first)[lane])
+                                : (double)((*(const vec *)last)[lane] - (*(const vec *)first)[lane]);
+    }
+    return (double)(before(paper, group, lane, stop) - before(paper, group, lane, start));
+}
+
 /* A pixel's counts in the bands' windows, moved by `shift` bins. */
 INLINE void sum_windows(const Paper *paper, const Group *group, int lane, int shift, double *sums)
 {
@@ -223,8 +234,7 @@ INLINE void sum_windows(const Paper *paper, const Group *group, int lane, int sh
         sums[k] = 0;
     for (int w = 0; w < paper->windows; w++) {
         const int32_t *window = paper->window + (size_t)w * 3;
-        sums[window[0]] += (double)(before(paper, group, lane, window[2] + shift)
-                                    - before(paper, group, lane, window[1] + shift));
+        sums[window[0]] += counts_in(paper, group, lane, window[1] + shift, window[2] + shift);
     }
 }
 

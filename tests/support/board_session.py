@@ -26,7 +26,7 @@ class Board:
     leds: int = 9
 
 
-ULX3S = Board("ulx3s-85f", "ecp5", 25e6, 1250, 24 * 4)
+ULX3S = Board("ulx3s-85f", "ecp5", 25e6, 1250, 25 * 4)
 
 
 class Session(BoardScript):

@@ -19,7 +19,7 @@ from support.board_session import MAP, ULX3S, US, Board, Session, lit
 FILES = Path(__file__).parents[1] / "boards" / "examples"
 
 
-ECPIX5 = Board("ecpix5-85f", "ecp5", 100e6, 1250, 24 * 4)
+ECPIX5 = Board("ecpix5-85f", "ecp5", 100e6, 1250, 25 * 4)
 # 12 MHz · 67 / 8 and two ticks a clock; input, pipeline and output have 2 + 19 + 1 clocks
 HX8K = Board("hx8k", "ice40", 12e6, 4975, 22 * 2)
 ARTY = Board(str(FILES / "arty-a7.toml"), "xc7", 100e6, 1250, 24 * 4)

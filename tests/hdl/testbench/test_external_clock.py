@@ -111,21 +111,17 @@ def test_the_external_clock_is_lost_at_every_phase_of_a_pulse(program: Path):
     losses, ends, checks = [], [], []
     session.set("reference", HALF_PS)
     session.wait(PRESENT_US * US)
-    # the PLLs go on for 200 to 440 ns without their clock; steps of 29 ticks, where pulses are 24
-    # apart, bring their end to every tick of a pulse and its pause
+    # the PLLs go on for 200 to 440 ns without their clock, 160 to 352 ticks: trains of 200 ticks
+    # that begin 133 to 157 ticks after the loss are under way then, at 16 of the 24 ticks of a
+    # pulse and its pause
     for step in range(16):
         choose(session)
         session.write("faults", CLOCK_FAILED | REFERENCE_LOST)
         session.write("arm", ARM_KEY)
-        ahead = 29 * TICK * (step - 9)  # of the trigger before the loss
-        if ahead > 0:
-            session.trigger()
-            session.wait(ahead)
         losses.append(session.now_ps)
         session.set("reference", 0)
-        if ahead <= 0:
-            session.wait(-ahead)
-            session.trigger()
+        session.wait(TICK * (133 + 5 * step % 24) - LATENCY)
+        session.trigger()
         session.wait(SWITCH_US * US)
         ends.append(session.trigger())
         session.wait(2 * US)

@@ -48,12 +48,14 @@ class Ecp5Gearing:
 
     The latencies count register stages: IDDRX2F gathers two edge-clock cycles, moves them to a
     register of the system clock and that to its output; ODDRX2F takes a word into a register of
-    the system clock, then one of the edge clock, then shifts.
+    the system clock, then one of the edge clock, then shifts. One more register of the system clock
+    in front of it halves the wires from a channel to the edge of the device, which decided whether
+    an ULX3S reached its frequency.
     """
 
     lanes = 4
     input_latency = 3
-    output_latency = 2
+    output_latency = 3
 
     def __init__(
         self, reset: Value | None = None, *, delays: Mapping[str, DelayLine] | None = None
@@ -82,6 +84,8 @@ class Ecp5Gearing:
         m.submodules[f"{name}_buffer"] = buffer = io.Buffer("o", port)
         if enable is not None:
             m.d.comb += buffer.oe.eq(enable)
+        near = Signal(4, name=f"{name}_near")
+        m.d.pulse += near.eq(word)
         early = buffer.o
         if self.delays:
             early = Signal(name=f"{name}_early")
@@ -92,7 +96,7 @@ class Ecp5Gearing:
             i_ECLK=ClockSignal("edge"),
             i_SCLK=ClockSignal("pulse"),
             i_RST=self.reset,
-            **{f"i_D{lane}": word[lane] for lane in range(4)},
+            **{f"i_D{lane}": near[lane] for lane in range(4)},
         )
 
     @staticmethod

@@ -111,16 +111,7 @@ class ProgramReader(wiring.Component):
                 with m.Else():
                     m.d.pulse += [self.finished.eq(1), state.eq(_State.END)]
             with m.Case(_State.FETCH):
-                m.d.pulse += [
-                    self.step.number.eq(number),
-                    self.step.bank.eq(setup[0]),
-                    self.step.marker.eq(setup[8:16]),
-                    self.step.mask.eq(mask),
-                    self.step.count.eq(count),
-                    self.step.idle.eq(idle),
-                    number.eq(number + 1),
-                    state.eq(_State.CHECK),
-                ]
+                m.d.pulse += [number.eq(number + 1), state.eq(_State.CHECK)]
             with m.Case(_State.CHECK):  # the next step's words are late by this clock too
                 m.d.pulse += state.eq(_State.OFFER)
             with m.Case(_State.OFFER):
@@ -129,6 +120,18 @@ class ProgramReader(wiring.Component):
             with m.Case(_State.WAIT):
                 with m.If(self.take):
                     m.d.pulse += [self.ready.eq(0), state.eq(_State.LOOK)]
+        # one register enables a hundred others, far apart; what was fetched still stands
+        fetched = Signal()
+        m.d.pulse += fetched.eq(state == _State.FETCH)
+        with m.If(fetched):
+            m.d.pulse += [
+                self.step.number.eq(address),
+                self.step.bank.eq(setup[0]),
+                self.step.marker.eq(setup[8:16]),
+                self.step.mask.eq(mask),
+                self.step.count.eq(count),
+                self.step.idle.eq(idle),
+            ]
         with m.If(self.rewind):
             m.d.pulse += [
                 number.eq(0),

@@ -159,6 +159,8 @@ def test_the_watchdog_disarms(driver: Illuminator, bench: IlluminatorTestbench):
     driver.set_trigger(TriggerSource.INTERNAL, period_ns=3200)
     clocks_per_ms = 20_000
     driver.arm(watchdog_ms=3)
+    assert driver.board.read(registers.WatchdogLeftMs).value in (2, 3)
+    driver.feed()
     for _ in range(4):
         bench.advance(2 * clocks_per_ms)
         assert driver.state().armed
@@ -173,6 +175,7 @@ def test_the_watchdog_disarms(driver: Illuminator, bench: IlluminatorTestbench):
     assert not driver.state().armed
     driver.feed()  # does not arm
     assert not driver.state().armed
+    assert driver.board.read(registers.WatchdogLeftMs).value == 0
 
 
 def test_a_failed_clock_disarms_and_is_reported(driver: Illuminator, bench: IlluminatorTestbench):

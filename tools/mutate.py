@@ -280,9 +280,13 @@ def judge_sample(arguments: argparse.Namespace) -> None:
 
 
 def read_results(path: Path) -> dict[str, dict[str, object]]:
-    """Return the last result of each mutant by its key."""
+    """Return the last result of each mutant by its key, with the status that it had first."""
     lines = path.read_text().splitlines() if path.exists() else []
-    return {record["key"]: record for record in map(json.loads, lines)}
+    first: dict[str, str] = {}
+    return {
+        record["key"]: {**record, "first": first.setdefault(record["key"], record["status"])}
+        for record in map(json.loads, lines)
+    }
 
 
 def list_mutants(arguments: argparse.Namespace) -> None:

@@ -30,11 +30,13 @@ python tools/mutate.py run --of host --count 200    # the software from packets 
 python tools/mutate.py page                         # writes this page
 ```
 
-The mutants of a part that were judged are a simple random sample of them (seed {seed}), so its
-score is known to within the interval given with it: the exact binomial (Clopper-Pearson) interval,
-which covers the true score in at least {confidence:.0%} of such samples. The score of all weighs
-parts by their mutants. Survivors are counted as faults that the tests miss, unless a reason below
-says otherwise.
+The mutants of a part that were judged are a simple random sample of them (seed {seed}). For
+survivors tests were added, and they were judged again. The *score* is what became of the sample in
+the end; it says little of mutants that were not drawn. For those the score *at first* is an
+estimate, that of the tests before they knew the sample, with the exact binomial (Clopper-Pearson)
+interval, which covers the true score in at least {confidence:.0%} of such samples. The scores of
+all weigh parts by their mutants where one part was sampled more than another. Survivors are
+counted as faults that the tests miss, unless a reason below says otherwise.
 """
 CONFIDENCE = 0.95
 
@@ -71,7 +73,8 @@ class Judged:
     subject : Subject
         What has mutants.
     results : mapping of str to sequence of mapping
-        Records of ``tools/mutate.py`` for each part, a random sample of its mutants.
+        Records of ``tools/mutate.py`` for each part, a random sample of its mutants; ``first`` is
+        the status of a mutant when it was first judged.
     totals : mapping of str to int
         Number of mutants that each part has.
     simple : bool
@@ -115,10 +118,13 @@ def write_page(judged: Sequence[Judged], reasons: Mapping[str, str], *, seed: in
 
 def _section(sample: Judged, reasons: Mapping[str, str]) -> list[str]:
     """Return the section of a subject: scores of its parts, survivors, equivalent mutants."""
-    counts = {
-        name: Counter(_status(result, reasons) for result in part)
-        for name, part in sorted(sample.results.items())
-    }
+    counts, at_first = (
+        {
+            name: Counter(_status(result, reasons, key) for result in part)
+            for name, part in sorted(sample.results.items())
+        }
+        for key in ("status", "first")
+    )
     every = sum(counts.values(), Counter())
     known = f"{len(sample.every):,} of {sum(sample.totals.values()):,} mutants were judged."
     if every["not compiled"]:
@@ -128,29 +134,37 @@ def _section(sample: Judged, reasons: Mapping[str, str]) -> list[str]:
         "",
         known,
         "",
-        f"| part | mutants | killed | survived | equivalent | score | {CONFIDENCE:.0%} interval |",
-        "|---|---|---|---|---|---|---|",
+        "| part | mutants | killed | survived | equivalent | score | at first "
+        f"| {CONFIDENCE:.0%} interval |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for name, found in [*counts.items(), ("all", every)]:
-        killed, survived = found["killed"], found["survived"]
+    firsts = [*at_first.values(), sum(at_first.values(), Counter())]
+    for (name, found), first in zip([*counts.items(), ("all", every)], firsts, strict=True):
         total = sample.totals.get(name, sum(sample.totals.values()))
-        score = shown = "–"
-        if killed + survived:
-            share = killed / (killed + survived)
-            shown = " to ".join(f"{bound:.1%}" for bound in interval(killed, survived))
+        score = then = shown = "–"
+        if found["killed"] + found["survived"]:
+            shares = [_share(found), _share(first)]
+            shown = " to ".join(
+                f"{bound:.1%}" for bound in interval(first["killed"], first["survived"])
+            )
             if name == "all" and not sample.simple:
-                share, shown = _weighted(counts, sample.totals), "–"
-            score = f"{share:.1%}"
-        cells = (name, f"{total:,}", killed, survived, found["equivalent"], score, shown)
+                shares, shown = [_weighted(each, sample.totals) for each in (counts, at_first)], "–"
+            score, then = (f"{share:.1%}" for share in shares)
+        numbers = (found[status] for status in ("killed", "survived", "equivalent"))
+        cells = (name, f"{total:,}", *numbers, score, then, shown)
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += _table("Survivors", sample, reasons, "survived")
     return [*lines, *_table("Equivalent mutants", sample, reasons, "equivalent"), ""]
 
 
+def _share(found: Counter[str]) -> float:
+    return found["killed"] / (found["killed"] + found["survived"])
+
+
 def _weighted(counts: Mapping[str, Counter[str]], totals: Mapping[str, int]) -> float:
     """Return the score of all parts of which mutants were judged, by their numbers of mutants."""
     parts = {
-        name: found["killed"] / (found["killed"] + found["survived"])
+        name: _share(found)
         for name, found in counts.items()
         if found["killed"] + found["survived"]
     }
@@ -159,12 +173,12 @@ def _weighted(counts: Mapping[str, Counter[str]], totals: Mapping[str, int]) -> 
     )
 
 
-def _status(result: Mapping[str, Any], reasons: Mapping[str, str]) -> str:
-    if result["status"] in ("same netlist", "same code"):
+def _status(result: Mapping[str, Any], reasons: Mapping[str, str], key: str = "status") -> str:
+    if result[key] in ("same netlist", "same code"):
         return "equivalent"
-    if result["status"] == "survived" and result["key"] in reasons:
+    if result[key] == "survived" and result["key"] in reasons:
         return "equivalent"
-    return result["status"]
+    return result[key]
 
 
 def _table(title: str, sample: Judged, reasons: Mapping[str, str], status: str) -> list[str]:

@@ -164,9 +164,7 @@ def _share(found: Counter[str]) -> float:
 def _weighted(counts: Mapping[str, Counter[str]], totals: Mapping[str, int]) -> float:
     """Return the score of all parts of which mutants were judged, by their numbers of mutants."""
     parts = {
-        name: _share(found)
-        for name, found in counts.items()
-        if found["killed"] + found["survived"]
+        name: _share(found) for name, found in counts.items() if found["killed"] + found["survived"]
     }
     return sum(share * totals[name] for name, share in parts.items()) / sum(
         totals[name] for name in parts

@@ -265,5 +265,8 @@ def _port_list(config: IlluminatorConfig, ports: dict[str, tuple[Signal, bool]])
         "",
         f"A tick is {config.tick_fs / 1e6:g} ns. A pulse without delay begins "
         f"{PulseGenerator.latency} clocks after the clock of its trigger's sample.",
+        "",
+        "Simulators must read the Verilog as that of 2005. As SystemVerilog, its combinational "
+        "blocks without inputs that change are never evaluated.",
     ]
     return "\n".join(lines) + "\n"

@@ -22,7 +22,7 @@ software that give the same bytecode or the same compiled kernels, and those lis
 reason, are *equivalent* and do not count.
 
 Only what functions do is changed: declarations such as register maps, macros, generated files, and
-texts are not.
+texts are not. The gateware's reduction to sums is not among the sources yet.
 
 ```sh
 python tools/mutate.py run --count 200              # the gateware; goes on where it stopped
@@ -142,14 +142,13 @@ def _section(sample: Judged, reasons: Mapping[str, str]) -> list[str]:
     for (name, found), first in zip([*counts.items(), ("all", every)], firsts, strict=True):
         total = sample.totals.get(name, sum(sample.totals.values()))
         score = then = shown = "–"
+        alone = name != "all" or sample.simple
         if found["killed"] + found["survived"]:
-            shares = [_share(found), _share(first)]
-            shown = " to ".join(
-                f"{bound:.1%}" for bound in interval(first["killed"], first["survived"])
-            )
-            if name == "all" and not sample.simple:
-                shares, shown = [_weighted(each, sample.totals) for each in (counts, at_first)], "–"
-            score, then = (f"{share:.1%}" for share in shares)
+            score = f"{_share(found) if alone else _weighted(counts, sample.totals):.1%}"
+        if first["killed"] + first["survived"]:
+            then = f"{_share(first) if alone else _weighted(at_first, sample.totals):.1%}"
+            bounds = interval(first["killed"], first["survived"])
+            shown = " to ".join(f"{bound:.1%}" for bound in bounds) if alone else "–"
         numbers = (found[status] for status in ("killed", "survived", "equivalent"))
         cells = (name, f"{total:,}", *numbers, score, then, shown)
         lines.append(f"| {' | '.join(map(str, cells))} |")

@@ -103,7 +103,12 @@ CAMERA = (
     Setting("lanes", "codes per clock at the sensor port: 1, 2, 4 or 8", 1, 8),
     Setting("run", "pixels per chunk, a multiple of 8", 8, MAX_RUN),
     Setting("geometry", "identity of the geometry in frame headers; 0 = not stated", 0, 0xFFFF),
-    Setting("banks", "chunks held between sensor and link: 2, 4, 8 or 16", 2, 16),
+    Setting(
+        "banks",
+        "chunks held between sensor and link: 2, 4, 8 or 16, enough for `run` and `lanes`",
+        2,
+        16,
+    ),
     Setting(
         "buffer_words",
         "words between formatter and link, a power of two",

@@ -84,8 +84,8 @@ class CameraConfig:
     Raises
     ------
     FormatError
-        If the buffer is smaller than what is asked of it, or the scene or the reduction does not
-        fit.
+        If the buffer is smaller than what is asked of it, the scene or the reduction does not fit,
+        or there are fewer banks than an empty frame needs.
     """
 
     form: FrameFormat = field(default_factory=FrameFormat)

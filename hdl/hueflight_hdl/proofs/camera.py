@@ -138,7 +138,8 @@ PROOFS = (
     Proof(
         "camera-sum-packets",
         "No word of a packet of sums is lost, with any sums and a link that takes none, checked "
-        "over several packets of the smallest writer.",
+        "for the two packets that the buffer holds, and that a third waits, of the smallest "
+        "writer.",
         WriterHarness,
         depth=90,
         induction=False,

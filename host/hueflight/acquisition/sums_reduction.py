@@ -18,8 +18,10 @@ from hueflight_protocol import ReductionRoom
 
 LEAST_PHOTONS = 1000  #: that sums of a picture hold without saturation, at least
 LOAD = 16e6  #: bytes per second that sums may take where windows are shorter than a picture
-LEAST_FRAMES = 240  #: of a window: about as many blocks as a camera ends one after another
-PACKET_SHARE = 1.08  #: of the sums that they take with headers of packets
+LEAST_FRAMES = 240  #: of a window: more than a camera ends blocks, one a frame (181 on an ECP5)
+PACKET_SHARE = (
+    1.08  #: of the sums that they take with headers of packets, at most (1.06 on an ECP5)
+)
 
 
 def reduction_of(

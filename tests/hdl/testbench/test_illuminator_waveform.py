@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -12,6 +13,8 @@ from vcd.reader import TokenKind, tokenize
 
 from hueflight_hdl.illuminator.gearing.ecp5 import Ecp5Gearing
 from hueflight_hdl.illuminator.pulse_generator.reference import Pulse, Schedule
+from hueflight_hdl.testbench import illuminator_waveform
+from hueflight_hdl.testbench.cxxrtl import SimulationError
 from hueflight_hdl.testbench.illuminator_waveform import (
     Waveform,
     draw,
@@ -21,7 +24,7 @@ from hueflight_hdl.testbench.illuminator_waveform import (
     write_vcd,
 )
 from hueflight_hdl.testbench.jitter import jitter_table, trigger_jitter
-from hueflight_hdl.testbench.signal_dump import find_signals
+from hueflight_hdl.testbench.signal_dump import dump_signals, find_signals
 from support.illuminator_stimuli import small_illuminator
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -74,6 +77,19 @@ def test_the_dump_has_every_edge(small: Waveform, tmp_path: Path):
     assert (first - trigger) % (4 * tick_ps) == 0
 
 
+def rises_of_the_trigger(dump: Path) -> list[int]:
+    """Times at which the first signal of this name leaves 0."""
+    text = dump.read_text()
+    (code,) = re.findall(r"^\$var wire 4 (\S+) trigger \$end$", text, re.M)[:1]
+    now, found = 0, []
+    for line in text.splitlines():
+        if line.startswith("#"):
+            now = int(line[1:])
+        elif re.match(rf"b0*1[01]* {re.escape(code)}$", line):
+            found.append(now)
+    return found
+
+
 def test_the_dump_of_all_signals_has_those_within(simulator: None, tmp_path: Path):
     """Amaranth's simulator has the outputs of the compiled design; a train's pulses are within."""
     pulses = [[Pulse(24 * channel, 8)] + [Pulse(0, 0)] * 3 for channel in range(3)]
@@ -87,8 +103,23 @@ def test_the_dump_of_all_signals_has_those_within(simulator: None, tmp_path: Pat
     start = next(
         int(line.split()[1]) for line in save.read_text().splitlines() if "timestart" in line
     )
-    times = [int(line[1:]) for line in dump.read_text().splitlines() if line.startswith("#")]
-    assert sum(at >= start for at in times) > 100  # the train is what the save file shows
+    rises = rises_of_the_trigger(dump)
+    assert rises
+    assert 0 < start <= min(rises)  # the train is what the save file shows
+
+
+def test_simulators_that_differ_are_an_error(
+    simulator: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def flipped(*arguments, **options):
+        levels = dump_signals(*arguments, **options)
+        levels["armed"][100] ^= 1
+        return levels
+
+    monkeypatch.setattr(illuminator_waveform, "dump_signals", flipped)
+    pulses = [[Pulse(0, 8)] + [Pulse(0, 0)] * 3] * 3
+    with pytest.raises(SimulationError, match="the two simulators differ"):
+        dump_train(tmp_path, small_illuminator(4), Ecp5Gearing(), Schedule(256, 7, pulses))
 
 
 def test_the_drawing_says_when_each_led_fires(small: Waveform, tmp_path: Path):

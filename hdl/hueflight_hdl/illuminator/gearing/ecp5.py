@@ -50,7 +50,7 @@ class Ecp5Gearing:
     register of the system clock and that to its output; ODDRX2F takes a word into a register of
     the system clock, then one of the edge clock, then shifts. One more register of the system clock
     in front of it halves the wires from a channel to the edge of the device, which decided whether
-    an ULX3S reached its frequency.
+    a ULX3S reached its frequency.
     """
 
     lanes = 4

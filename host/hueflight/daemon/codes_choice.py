@@ -158,8 +158,8 @@ class CodesChoice:
         self.choice = choose(wanted, obstacle="", link="", codes_bytes_per_s=None, present="codes")
         if wanted != "codes":
             self.choice = Choice("codes", "no camera yet")
-        self._made: tuple[Calibration, int] | None = None  # what the present sums are of
-        self._refused: tuple[Calibration, int] | None = None  # of what no sums can be made
+        self._made: tuple[object, ...] | None = None  # what the present sums are of
+        self._refused: tuple[object, ...] | None = None  # of what no sums can be made
         self._refusal = ""
         self._measured: tuple[float, int, int] | None = None  # time, frames and photons
         self._occupancy: float | None = None
@@ -261,7 +261,13 @@ class CodesChoice:
             return NO_REDUCTION
         if calibration is None:
             return "tables of sums are designed from a calibration, and there is none yet"
-        return self._refusal if self._refused == (calibration, frames) else ""
+        return self._refusal if self._refused == self._asked(snapshot, calibration, frames) else ""
+
+    def _asked(
+        self, snapshot: Snapshot, calibration: Calibration | None, frames: int
+    ) -> tuple[object, ...]:
+        """All that decides what the camera makes of its codes."""
+        return calibration, frames, snapshot.reduction_room, self._settings().rate_hz
 
     def _send_codes(self) -> None:
         self._made = None
@@ -273,7 +279,7 @@ class CodesChoice:
 
     def _send_sums(self, snapshot: Snapshot, calibration: Calibration, frames: int) -> bool:
         """Have the camera send sums of this calibration; True if it does."""
-        wanted = calibration, frames
+        wanted = self._asked(snapshot, calibration, frames)
         with self._lock:
             controls = self._acquisition.controls
             if self._made == wanted and controls.reduction is not None:
@@ -290,7 +296,7 @@ class CodesChoice:
             self._refused, self._refusal = wanted, str(error)
             return False
         with self._lock:
-            if (self._calibration(), self._settings().block_frames) != wanted:
+            if self._asked(snapshot, self._calibration(), self._settings().block_frames) != wanted:
                 return False
             self._acquisition.set_controls(
                 replace(

@@ -19,7 +19,7 @@ class SumsBlock:
     packets : tuple of bytes
         Intact packets, in the order in which they came; some may be missing.
     frames : int
-        Frames that the sums of the last packet hold.
+        Most frames that the sums of a packet hold.
     last_tick : int
         Device clock when the last of the packets was sent, in ticks.
     """
@@ -68,7 +68,8 @@ class SumsBlocks:
         body = SUMS_BODY.unpack(packet[PACKET_HEADER.size :][: SUMS_BODY.size])
         picture = head["capture"], body["picture"]
         over = self.finish() if picture != self._picture else []
-        self._picture, self._frames, self._tick = picture, body["frames"], head["timestamp"]
+        self._picture, self._tick = picture, head["timestamp"]
+        self._frames = max(self._frames, body["frames"])
         self._packets.append(packet)
         if body["first_pixel"] + body["pixels"] == body["rows"] * body["cols"]:
             over += self.finish()
@@ -80,10 +81,9 @@ class SumsBlocks:
         Returns
         -------
         list of SumsBlock
-            The picture, if a packet of it came. One whose last packet holds no frame is left out:
+            The picture, if a packet of it came. One of which no packet holds a frame is left out:
             it tells what the camera missed at the end of a capture.
         """
         packets, self._packets, self._picture = tuple(self._packets), [], None
-        if not packets or not self._frames:
-            return []
-        return [SumsBlock(packets, self._frames, self._tick)]
+        frames, self._frames = self._frames, 0
+        return [SumsBlock(packets, frames, self._tick)] if frames else []

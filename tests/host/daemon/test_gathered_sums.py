@@ -20,7 +20,7 @@ from hueflight.devices.reduction import Reduction
 from hueflight.ingest.scene_change import BRIGHTNESS_TOLERANCE
 from hueflight.ingest.sums_blocks import SumsBlocks
 from hueflight.reconstruction.sums.changes import SumsContrasts
-from hueflight_protocol import ReductionRoom
+from hueflight_protocol import PacketHeader, ReductionRoom, Sums, encode_sums
 from hueflight_protocol.reduction import reduce_histogram
 from support.sums_stream import packets_of_sums
 
@@ -168,6 +168,21 @@ def test_a_tile_begins_anew_before_its_sums_are_full(
     window.add_all(others)
     assert (window.frames_by_pixel[4:8, 4:8] == 2 * FRAMES).all()
     assert (window.frames_by_pixel[0:4] == 3 * FRAMES).all()
+
+
+@pytest.mark.parametrize(("frames", "kept"), [((400, 0), [400]), ((0, 3), [3]), ((0, 0), [])])
+def test_a_picture_is_one_if_any_of_its_packets_holds_frames(
+    frames: tuple[int, int], kept: list[int]
+) -> None:
+    """At the end of a capture blocks hold what is left, and some of them nothing."""
+    gathered, blocks = SumsBlocks(), []
+    for first, held in enumerate(frames):
+        part = Sums(
+            header=PacketHeader(sequence=first), values=np.zeros((1, 1), np.uint32), widths=(8,),
+            picture=7, first_pixel=first, rows=1, cols=2, frames=held, missed=2, tables=1,
+        )  # fmt: skip
+        blocks += gathered.feed(encode_sums(part))
+    assert [block.frames for block in blocks + gathered.finish()] == kept
 
 
 def test_a_picture_states_which_change_of_depth_would_go_unnoticed(

@@ -146,8 +146,8 @@ def unnoticed_shift_ns(
     Returns
     -------
     float
-        Greatest such change, ns, from any delay that the tables are for, in either direction, of
-        any number of photons; at most as much as they reach.
+        Greatest such change, ns, between two delays that the tables are for, of any number of
+        photons.
     """
     contrasts, bins = SumsContrasts.of(tables), calibration.bins
     entries = tables.entries[:, bins.codes].astype(np.float64)
@@ -161,10 +161,10 @@ def unnoticed_shift_ns(
             shares = calibration.templates.shares(bins.edges_ns, delays_ns[:, None])
             sums = MANY_PHOTONS * (np.tensordot(white, shares, 1) @ entries.T)[:, None]
             before = np.broadcast_to(sums[:1], sums.shape)
-            found = contrasts.compare(sums, before, np.ones(sums.shape[:2]), 1) > SIGMA
-            if found.any():
-                worst = max(worst, float(shifts_ns[found.argmax()]))
-    return worst or reach_ns
+            found = contrasts.compare(sums, before, np.ones(sums.shape[:2]), 1).ravel() > SIGMA
+            last = int(np.flatnonzero(~found)[-1])  # none is noticed without a shift
+            worst = max(worst, float(shifts_ns[min(last + 1, found.size - 1)]))
+    return worst
 
 
 def _bound(tables: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,12 +16,10 @@ from hueflight.reconstruction.sums.recorded import describe_sums
 from hueflight.recording.recorded_sums import ATTACHMENT, SumsDescription
 from hueflight_protocol import ReductionRoom
 
-LEAST_PHOTONS = 1000  #: that sums of a picture hold without saturation, at least
+LEAST_PHOTONS = 1000  #: that sums of a picture hold where the camera has room
 LOAD = 16e6  #: bytes per second that sums may take where windows are shorter than a picture
 LEAST_FRAMES = 240  #: of a window: more than a camera ends blocks, one a frame (181 on an ECP5)
-PACKET_SHARE = (
-    1.08  #: of the sums that they take with headers of packets, at most (1.06 on an ECP5)
-)
+PACKET_SHARE = 1.08  #: of the sums that they take with packet headers, at most
 
 
 def reduction_of(
@@ -50,7 +48,8 @@ def reduction_of(
     Returns
     -------
     Reduction
-        Tables that keep as much information as they can, of which no sum saturates.
+        Tables that keep as much information as they can. Where the camera has room for few bits,
+        sums of a surface that is bright in few bands may saturate, which is flagged.
 
     Raises
     ------

@@ -70,7 +70,7 @@ class TableSearch:
     light : Light
         Light that the tables are made for.
     photons : float
-        Photons of a pixel, of which no sum saturates; never more.
+        Photons of a pixel, of which no sum of `light` saturates; never more.
     widths : sequence of int
         Bits that there is room for, of each sum.
     most : int

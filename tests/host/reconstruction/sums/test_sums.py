@@ -301,7 +301,9 @@ def test_bad_input_is_refused(instrument, calibration, design, draw):
         hf.reconstruct_sums(sums_of(counts, design), swapped, calibration)
 
 
-def test_tables_for_few_bits_never_saturate(instrument, calibration, draw):
+def test_tables_for_few_bits_fit_a_white_surface_and_keep_its_information(
+    instrument, calibration, draw
+):
     widths, photons = (10,) * 4 + (9,) * 8, 310
     design = hf.design_sums(
         calibration, sums=12, entry_bits=3, most_photons=photons, most_widths=widths

@@ -83,7 +83,8 @@ def test_image_is_that_of_the_twin_s_sums(compiler):
     )
     parts = reference.check_packets(packets)
     reference.check_end()
-    assert (reference.held, reference.pictures) == (FRAMES, FRAMES // PICTURE_FRAMES)
+    # blocks end one after another, so that what is left of some is a picture more
+    assert (reference.held, reference.pictures) == (FRAMES, FRAMES // PICTURE_FRAMES + 1)
 
     def image_of(sums):
         shaped = sums.reshape(*codes.shape[1:], -1).astype(np.uint32)
